@@ -1,4 +1,4 @@
-"""A user's wishes, which change at any moment, as the controls of every frame: what live control needs."""
+"""Live control: turns a user's wishes, which may change at any moment, into the controls of every frame."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.names import nfc
 
-DEFAULT_SECONDS = 2.0  # of a performance of a type that has no length of its own
-PATH = ""  # stands for a type where a path names the types
+DEFAULT_SECONDS = 2.0  # of a type shown once that has no length of its own
+PATH = ""  # in place of a type while the parts of a path name the types
 _TRAJECTORY = ("trajectory", "trajectory_mask")
-FASTEST_WISH = 1000.0  # cm/s
+FASTEST_WISH = 1000.0  # cm/s; faster than any sprint
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What a user wants of one character from now on.
+    """What a user wants from one character from now on.
 
     Attributes:
-        velocity: over the ground, x and z in cm/s; (0, 0) stands still, None leaves the path to the type.
-        facing: heading in radians; None takes the type's own facing on its path, or keeps the present heading.
+        velocity: over the ground, x and z in cm/s. (0, 0) stands still; None gives no trajectory.
+        facing: heading in radians. None takes the usual facing of the gait; a standing body keeps its heading.
         type: a motion type; None chooses by velocity and facing (steered_type).
         path: a path to follow instead; its parts name the types. At its end the character stands.
     """
@@ -46,10 +46,10 @@ class Wish:
 
 @dataclass(frozen=True)
 class DriveOptions:
-    """How wishes turn into controls; blend_frames is what a change of type takes.
+    """How wishes turn into controls; blend_frames is the length of a change of type.
 
-    The paper's 40 frames suit changes that are known beforehand. Here the blend begins with the wish, so
-    its length is delay: with 8 and with 20 frames as many flips were turned as with 40.
+    The paper's 40 frames suit changes that are known beforehand. Here the blend begins with the wish, so its length is
+    a delay. Blends of 8 and of 20 frames turned as many flips as 40.
     """
 
     steering: SteeringOptions = field(default_factory=SteeringOptions)
@@ -57,10 +57,10 @@ class DriveOptions:
 
 
 class GaitDriver:
-    """How a live character goes and stands: the spring it is steered by, the speed it lacks, and its first steps."""
+    """Steers the gaits of a live character: trajectory spring, speed controller and first steps."""
 
     def __init__(self, model: MotionModel, options: SteeringOptions, choice: int) -> None:
-        """choice picks among the recordings of first steps."""
+        """Start at rest; choice picks among the recordings of first steps."""
         self.model = model
         self.steering = Steering(model.fps, options)
         self.trim = SpeedTrim(model)
@@ -68,11 +68,11 @@ class GaitDriver:
 
     @property
     def speed(self) -> float:
-        """The speed of the spring in cm/s."""
+        """The speed of the trajectory spring in cm/s."""
         return math.hypot(*self.steering.velocity)
 
     def trajectory(self, kind: str, velocity: Pair, facing: float | None) -> tuple[Array, Array]:
-        """The trajectory (1, 24) of a type that is to go as wished, and how far feet may hold the root (1,)."""
+        """The trajectory (1, 24) of a type for a wish, and the factor (1,) on the root-slip correction."""
         if facing is None and math.hypot(*velocity) >= STANDS_BELOW:
             gait = self.model.types[kind].gait
             facing = math.atan2(*velocity) - (0.0 if gait is None else gait.facing)
@@ -82,7 +82,7 @@ class GaitDriver:
         return np.array([self.steering.trajectory(velocity, facing)], np.float32), settled
 
     def first_steps_of(self, kind: str, stood: bool, asked: Controls) -> Controls:
-        """The controls (1, ...) of a gait or of standing, with recordings for the first steps from standing."""
+        """Add reference poses to the controls (1, ...) of a gait during its first steps from standing."""
         if stood and self.model.kind(kind) is MotionKind.GAIT:
             self.first_steps.begin(kind)
         if self.first_steps.takes(kind):
@@ -91,10 +91,10 @@ class GaitDriver:
 
 
 class Driver:
-    """Turns the wishes of one character into its controls, frame by frame: a Controller for a batch of one.
+    """Turns the wishes of one character into controls, frame by frame; a Controller for a batch of one.
 
-    set_wish and perform may be called between any two frames. The same calls at the same frames give the
-    same controls to the same body.
+    set_wish and perform may be called between any two frames. The same calls at the same frames give the same controls
+    for the same body.
     """
 
     def __init__(
@@ -104,9 +104,11 @@ class Driver:
         options: DriveOptions | None = None,
         choice: int = 0,
     ) -> None:
-        """kind is the type of the frames the character starts from; by default that of standing.
+        """Start with a wish to stand.
 
-        choice picks among the recordings of what is wished for: two characters with the same one dance alike.
+        Args:
+            kind: type of the frames that the character starts from; standing by default.
+            choice: picks among recordings. Two characters with the same choice dance alike.
         """
         self.model, self.options, self.choice = model, options or DriveOptions(), choice
         self.wish = Wish()
@@ -116,15 +118,15 @@ class Driver:
             model, kind or steered_type(model, (0.0, 0.0), None), self.options.blend_frames
         )
         self.follower: PathFollower | None = None
-        self._player, self._played = ReferencePlayer(model, choice), ""  # of types that recordings move
+        self._player, self._played = ReferencePlayer(model, choice), ""  # for types that follow recordings
 
     @property
     def type(self) -> str:
-        """The type that is shown, or gone over to."""
+        """The type that is shown, or the target of the present blend."""
         return self.blend.type
 
     def set_wish(self, wish: Wish) -> None:
-        """Follow another wish from the next frame on; raises ControlError for an unknown type or an unlikely number."""
+        """Follow another wish from the next frame on; raises ControlError for an unknown type or an invalid number."""
         numbers = (*(wish.velocity or ()), *(() if wish.facing is None else (wish.facing,)))
         if not all(math.isfinite(number) for number in numbers):
             raise ControlError(f"expected finite numbers for velocity and facing, found {numbers}")
@@ -142,10 +144,10 @@ class Driver:
         self.wish = wish
 
     def perform(self, kind: str, seconds: float = DEFAULT_SECONDS, choice: int = 0) -> None:
-        """Show a type once, then go back to the wish. A performance waits until the one before it is over.
+        """Show a type once, then return to the wish. A second call waits until the first performance is over.
 
         Args:
-            seconds: length, for types other than strikes, jumps and flips, which take their own time.
+            seconds: length of types without a length of their own; performances, strikes and jumps have one.
             choice: picks among the recordings of the type.
 
         Raises:
@@ -157,16 +159,16 @@ class Driver:
 
     @property
     def performing(self) -> str | None:
-        """The type that is being shown once, if any."""
+        """The type that is shown once at present, if any."""
         return None if self.performances.shown is None else self.performances.shown.type
 
     @property
     def following(self) -> float | None:
-        """The share of the path that lies behind, None where none is followed."""
+        """The share of the path that is done; None without a path."""
         return None if self.follower is None else self.follower.place.share
 
     def __call__(self, frame: int, ground: Array) -> Controls:
-        """Controls (1, ...) of a frame; frame counts up by one at each call, ground (1, 3) is where the body is."""
+        """Controls (1, ...) of a frame for a body at ground (1, 3); frame counts up by one at each call."""
         shown = self.performances.take_turns(frame, self.gaits.speed, self._repeated())
         free = self.wish.velocity is None or self.follower is not None or shown is not None
         x, z, heading = ground[0].tolist()
@@ -177,7 +179,7 @@ class Driver:
         return replace(asked, type_weights=self.blend(kind, asked.type_weights[0])[None])
 
     def _repeated(self) -> Request | None:
-        """A performance, strike or jump that the wish holds on to."""
+        """The performance, strike or jump that the wish repeats, if any."""
         held = self.wish.type
         if self.follower is None and held and self.model.kind(held).phased:
             return Request(held, DEFAULT_SECONDS, self.choice)
@@ -199,21 +201,21 @@ class Driver:
         return kind, self.gaits.first_steps_of(kind, stood, asked).with_mask(1.0)
 
     def _recorded(self, kind: str, trajectory: Array | None) -> Controls:
-        """Controls (1, ...) of a type that its recordings move, for as long as it is wished."""
+        """Controls (1, ...) of a type that follows recordings, as long as the wish lasts."""
         if kind != self._played:
             self._player.begin(kind, speed=self.gaits.speed)
             self._played = kind
         return self._player.play(1, trajectory)
 
     def _follow(self, follower: PathFollower, frame: int, ground: Array) -> tuple[str, Controls]:
-        """The controls of a path, which has type weights of its own."""
+        """The type PATH and the controls of a path, which include the type weights."""
         asked = follower(frame, ground)
         if follower.place.at_end:
             self.follower, self.wish = None, Wish()
         return PATH, asked
 
     def _show(self, shown: Performance, frame: int, kind: str, otherwise: Controls) -> tuple[str, Controls]:
-        """The controls of a performance; before its first frame is due and in its last ones, only some of them."""
+        """The type and the controls of a performance, with some controls of the wish at its beginning and end."""
         at = frame - shown.begins
         if at < 0:
             kept = {name: getattr(otherwise, name) for name in (*_TRAJECTORY, "slip_correction")}
@@ -225,7 +227,7 @@ class Driver:
         else:
             asked = replace(asked, type_weights=otherwise.type_weights)
         if not asked.trajectory_mask.any():
-            # A standing character that kicks is not held in place; a moving one keeps its trajectory.
+            # A moving character keeps its trajectory; a standing one that kicks is free to move.
             speed = math.hypot(*(self.wish.velocity or (0.0, 0.0)))
             if self.follower is not None or speed >= STANDS_BELOW:
                 asked = replace(asked, **{name: getattr(otherwise, name) for name in _TRAJECTORY})
@@ -242,5 +244,5 @@ def without_trajectory(controls: Controls) -> Controls:
 
 
 def together(asked: list[Controls]) -> Controls:
-    """The controls of several characters as those of one batch."""
+    """Join the controls of several characters into one batch."""
     return Controls.concatenated(asked)

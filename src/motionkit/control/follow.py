@@ -1,4 +1,4 @@
-"""A character along a path: the library call behind `motionkit follow-path` (paper 5.2)."""
+"""Path following: the library call behind `motionkit follow-path` (paper 5.2)."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from motionkit.models.motion_type import MotionKind
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import rotate_ground
 
-PATIENCE = 1.6  # times the expected duration, after which the end is given up
-BLEND_SAMPLES = 16  # places that the types around one are read at; chosen
+PATIENCE = 1.6  # factor on the expected duration (plus 3 s), after which the roll-out stops
+BLEND_SAMPLES = 16  # points at which types are sampled for their blend; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,15 +39,15 @@ class FollowResult:
     """A motion along a path.
 
     Attributes:
-        motion: what to write.
-        distance: to the whole path, on the default body.
-        part_distances: mean and largest distance (cm) of the frames on each part, None for a part not reached.
-        part_frames: frames at the model's rate spent on each part.
-        finished: whether the end was reached.
-        seconds: how long the roll-out took.
+        motion: the finished motion.
+        distance: distance to the whole path, on the default body.
+        part_distances: mean and largest distance (cm) of the frames on each part; None for a part not reached.
+        part_frames: frames at the model's rate on each part.
+        finished: whether the character reached the end.
+        seconds: duration of the roll-out.
         frames: frames at the model's rate.
-        raw: the network's output, with feet not locked, if options.raw asks for it.
-        unfinished: what motion was finished from, for rigs whose own feet are locked.
+        raw: the motion before finishing, if options.raw is set.
+        unfinished: the motion before finishing, with its contacts, to finish it on a rig instead.
     """
 
     motion: Motion
@@ -64,28 +64,28 @@ class FollowResult:
 class PathFollower:
     """Turns a planned path into the controls of every frame for one character; a Controller.
 
-    Gaits take speed and turns from the path, and the first steps after a stop from recordings; other types are moved by
-    recordings, which choice picks among.
+    Gaits take speed and turns from the path, and their first steps after a stop from recordings. Other types follow
+    recordings; choice picks among these.
     """
 
     def __init__(self, model: MotionModel, plan: Plan, choice: int = 0, behind: int = 0) -> None:
-        """Take a plan_path; behind: frames of the first part's performance that lie behind already."""
+        """Take a plan from plan_path; behind counts the frames of the first part's performance already shown."""
         assert plan.route is not None
         self.model, self.plan, self.behind = model, plan, behind
         self.route = plan.route
         self.place = PathPlace(plan.route, model.fps)
         self.player = ReferencePlayer(model, choice, own_share=0.0)
         self.first_steps = FirstSteps(model, choice)
-        self.entered = -1  # the part the character is on
+        self.entered = -1  # the present part
         self.arcs: list[float] = []
 
     @property
     def finished(self) -> bool:
-        """Whether the end has been reached, and no stop is to come."""
+        """Whether the character has reached the end and no stop is left."""
         return self.place.finished
 
     def __call__(self, frame: int, ground: Array) -> Controls:
-        """Controls (1, ...) of a frame; ground (1, 3) is where the body is."""
+        """Controls (1, ...) of a frame for a body at ground (1, 3)."""
         place, path = self.place, self.route.path
         place.move(ground[0, :2])
         self.arcs.append(place.arc)
@@ -102,14 +102,14 @@ class PathFollower:
             asked = self._steered(path.parts[part].type, trajectory, standing, goes_on)
         else:
             asked = self._recorded(part, trajectory)
-        # On a path the trajectory comes first: feet do not hold the root, and that of the recording does not count.
+        # The path comes first: no root-slip correction, and the recorded trajectory does not count.
         free = np.zeros(1, np.float32)
         if self.model.plain:
             asked = replace(asked, types_ahead=np.stack([self.type_weights(arc) for arc in ahead])[None])
         return replace(asked, trajectory=trajectory[None], slip_correction=free).with_mask(1.0)
 
     def _trajectory(self, ahead: Array, ground: Array) -> Array:
-        """The trajectory (24,) from a place (3,) to those at arc lengths (6,) ahead."""
+        """The trajectory (24,) from a place (3,) to the path points at arc lengths (6,) ahead."""
         points, tangents = self.route.path.at(ahead)
         heading = ground[2]
         positions = rotate_ground(-heading, points - ground[:2])
@@ -118,7 +118,7 @@ class PathFollower:
         return np.concatenate([positions.reshape(-1), directions.reshape(-1)])
 
     def _steered(self, kind: str, trajectory: Array, standing: float, goes_on: bool) -> Controls:
-        """Controls (1, ...) of a gait or of standing, with recordings for the first steps of a gait that goes on."""
+        """Controls (1, ...) of a gait or of standing; goes_on begins first steps, which follow recordings."""
         asked = Controls.of_types(self.type_weights(self.place.arc, standing)[None])
         if goes_on:
             self.first_steps.begin(kind)
@@ -127,7 +127,7 @@ class PathFollower:
         return asked
 
     def _recorded(self, part: int, trajectory: Array) -> Controls:
-        """Controls (1, ...) of a part that recordings move."""
+        """Controls (1, ...) of a part that follows recordings."""
         if part != self.entered:
             behind = self.behind if self.entered < 0 else 0
             speed = asked_speed(trajectory, self.model.fps)
@@ -137,9 +137,10 @@ class PathFollower:
         return replace(self.player.play(1, trajectory[None]), type_weights=weights)
 
     def type_weights(self, arc: float, standing: float = 0.0) -> Array:
-        """Type weights (N,) at an arc: the mean over half a blend behind and ahead, 40 frames in all.
+        """Type weights (N,) at an arc length: the mean over half a blend behind and half a blend ahead.
 
-        standing: the share of standing still.
+        Args:
+            standing: the share of standing still.
         """
         reach = self.place.speed_at(arc) * (self.plan.blend // 2) / self.model.fps
         arcs = np.linspace(arc - reach, arc + reach, BLEND_SAMPLES)

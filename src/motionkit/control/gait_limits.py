@@ -1,4 +1,4 @@
-"""What a gait can be asked for: speeds and directions at which its feet do not glide."""
+"""Limits of a gait: speeds and directions at which its feet do not glide."""
 
 from __future__ import annotations
 
@@ -8,26 +8,25 @@ from motionkit.control.steering import STANDS_BELOW, Pair, nearest_turn
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 
-# Radians between the facing and a gait's usual one; beyond them walks hardly lift their feet and runs slide. Measured
-# on roll-outs.
+# Largest angle (radians) between the wished facing and the usual one of the gait. Beyond it, walks hardly lift their
+# feet and runs slide; measured on roll-outs.
 MOST_ASIDE, MOST_ASIDE_RUNNING = math.pi / 4, math.pi / 6
 
 
 def speed_limits(model: MotionModel, kind: str) -> Pair:
-    """Slowest and fastest speed of a type in cm/s; 0 and infinity where its recordings do not say."""
+    """Slowest and fastest speed of a type in cm/s; 0 and infinity if its recordings show none."""
     return model.speed_range(kind) or (0.0, math.inf)
 
 
 def within_limits(
     model: MotionModel, kind: str, velocity: Pair, facing: float | None
 ) -> tuple[Pair, float | None]:
-    """Return the velocity and facing nearest to a wish at which a steered type steps.
+    """Return the velocity and facing nearest to a wish at which a steered type takes proper steps.
 
-    A standing body is not moved. A gait goes no slower and no faster than recorded, and turns towards its direction as
-    far as it has to.
+    Standing gets no velocity. A gait keeps within its recorded speeds, and its facing within a limit of its direction.
 
     Args:
-        kind: a type; others than steered ones get what is wished.
+        kind: a type; the wish stays as it is for types that are not steered.
         velocity: x and z in cm/s.
         facing: radians, None for any.
     """

@@ -1,4 +1,4 @@
-"""Poses to meet: what a character is to do at given times, read from JSON (docs/keys.md).
+"""Keys: poses, places and facings that a character must meet at given times, read from JSON (docs/keys.md).
 
 Inside, lengths are cm and angles radians; files are in metres and degrees.
 """
@@ -30,10 +30,10 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
 
 METRE = 100.0
-EARLIEST = 0.2  # s; nothing can be met sooner
-NEAREST = 0.2  # s between two keys
-FASTEST = 900.0  # cm/s, of a sprint
-HIGHEST = 300.0  # cm
+EARLIEST = 0.2  # s; earliest time of a key
+NEAREST = 0.2  # s; least time between two keys
+FASTEST = 900.0  # cm/s between two keys, the speed of a sprint
+HIGHEST = 300.0  # cm; largest height of a joint's point
 MOST_KEYS = 1000
 _FIELDS = ("time", "pose", "position", "facing", "joints")
 
@@ -44,11 +44,11 @@ class KeyPose:
 
     Attributes:
         rotations: (23, 4) local rotations, the root's relative to the heading.
-        height: of the root above the ground, as a share of the legs' length.
-        embedding: (24,) of the pose (features/reference.py).
-        turns: (23, 3) how each joint turns to the next frame, in the parent's space, radians; the root's relative to
-            the heading.
-        step: (3,) how the root moves to the next frame, relative to the heading, as a share of the legs' length.
+        height: height of the root above the ground, as a share of the leg length.
+        embedding: (24,) pose embedding (features/reference.py).
+        turns: (23, 3) angular velocity of each joint in radians per frame, in parent space; the root's relative to the
+            heading.
+        step: (3,) velocity of the root per frame, relative to the heading, as a share of the leg length.
     """
 
     rotations: Array
@@ -60,10 +60,10 @@ class KeyPose:
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """What is to be at a time; None and {} for what is free.
+    """What the character must meet at a time; None and {} leave something free.
 
     Attributes:
-        seconds: from the beginning of the motion.
+        seconds: time from the beginning of the motion.
         pose: the pose to take.
         position: (2,) x and z of the hips, cm.
         facing: heading in radians, 0 facing +Z.
@@ -78,7 +78,7 @@ class Key:
 
     @property
     def goal(self) -> Array | None:
-        """Where the hips should be about (2,), cm; None for anywhere."""
+        """Approximate place (2,) of the hips in cm; None for anywhere."""
         if self.position is not None or not self.joints:
             return self.position
         points = np.mean(list(self.joints.values()), axis=0)
@@ -86,7 +86,7 @@ class Key:
 
 
 def clip_pose(model: MotionModel, motion: Motion, frame: int) -> tuple[KeyPose, Array]:
-    """The pose of a frame of a canonical motion in cm at the model's rate, and its place (3,): x, z, heading."""
+    """Pose and place (3,), x, z, heading, of a frame of a canonical motion in cm at the model's rate."""
     encoded = encode_motion(motion, model.reference_rotations, model.config.layout)
     x, z, heading = encoded.ground[frame].tolist()
     back = quat_from_yaw(np.array(-heading, np.float32))
@@ -106,10 +106,10 @@ def clip_pose(model: MotionModel, motion: Motion, frame: int) -> tuple[KeyPose, 
 
 
 def read_keys(path: str | Path, model: MotionModel) -> tuple[Key, ...]:
-    """The keys of a JSON file, in order of time.
+    """Read the keys of a JSON file, in order of time.
 
     Raises:
-        ControlError: the file is not of the form of docs/keys.md, or its keys contradict each other.
+        ControlError: the file does not have the form of docs/keys.md, or its keys contradict each other.
         MotionkitError: a file that it names cannot be read.
     """
     value = read_json(path, "a JSON file with keys", ControlError)
@@ -124,7 +124,7 @@ def read_keys(path: str | Path, model: MotionModel) -> tuple[Key, ...]:
 
 
 def check_keys(keys: Sequence[Key]) -> tuple[Key, ...]:
-    """The keys in order of time; raises ControlError where they contradict each other."""
+    """Return the keys in order of time; raises ControlError if they contradict each other."""
     ordered = tuple(sorted(keys, key=lambda key: key.seconds))
     before = Key(0.0, position=np.zeros(2))
     for number, key in enumerate(ordered):
@@ -145,7 +145,7 @@ def check_keys(keys: Sequence[Key]) -> tuple[Key, ...]:
 
 
 def check_length(keys: Sequence[Key], seconds: float) -> None:
-    """Raise ControlError for a key beyond the end of a motion."""
+    """Raise ControlError for a key after the end of a motion."""
     if keys and keys[-1].seconds > seconds + 1e-6:
         raise ControlError(
             f"a key at {keys[-1].seconds:g} s, but the motion lasts {seconds:g} s; give a longer --seconds"
@@ -221,7 +221,7 @@ def _pose(where: str, folder: Path, entry: Any, model: MotionModel) -> KeyPose:
 
 
 def smoothed_step(x: Array) -> Array:
-    """Rises from 0 at 0 to 1 at 1, without speed or acceleration at both ends (...)."""
+    """A curve (...) that rises from 0 at 0 to 1 at 1, without velocity or acceleration at its ends."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * x * (x * (6.0 * x - 15.0) + 10.0)
 

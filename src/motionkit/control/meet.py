@@ -1,8 +1,8 @@
-"""Makes a character meet keys: controls that lead to them, and what remains spread over the frames around.
+"""Makes a character meet keys: controls lead to them, and a smooth offset closes the rest of the gap.
 
-The paper names control of key joints as future work. Here the network is shown the way to a key's place as its
-trajectory and the key's pose among its reference poses, so that it arrives nearly there by itself. The rest is a
-smooth offset: over the ground between the keys, in the pose within a fraction of a second of a key.
+The paper names control of key joints as future work. Here the path to a key is the trajectory that the network sees,
+and the key's pose is one of its reference poses. So the network nearly arrives by itself. The offset closes the gap on
+the ground between the keys, and the gap in the pose within REACH_SECONDS of a key.
 """
 
 from __future__ import annotations
@@ -43,27 +43,27 @@ from motionkit.motion.rotations import (
 )
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
 
-SHOWN_SECONDS = 0.6  # a key's pose is among the references so long before and after it
-AFTER = 70  # frames of a recording that are known after a key: those it is shown for, and what references look ahead
-REACH_SECONDS = 0.6  # what remains in the pose is spread over so long before and after a key
-TURN_SECONDS = 1.0  # a facing asked for is turned to within so long
-STANDING = 30.0  # cm/s; slower ways do not say where to face
-LONGEST_STRETCH = 4.0  # s that a recorded stretch may take to a key
-# cm, cm and radians by which the way of a stretch may be off for a cost of 1, that of an embedding's value off by 1.
+SHOWN_SECONDS = 0.6  # time before and after a key in which its pose is a reference pose
+AFTER = 70  # frames of a recording kept after a key: SHOWN_SECONDS, and the look-ahead of references
+REACH_SECONDS = 0.6  # time before and after a key over which the offset of the pose fades
+TURN_SECONDS = 1.0  # time before and after a key over which the heading turns to its facing
+STANDING = 30.0  # cm/s; a slower path does not decide the heading
+LONGEST_STRETCH = 4.0  # s; longest recorded stretch that leads to a key
+# Errors in x, z (cm) and heading (radians) that cost as much as an embedding value that is off by 1.
 TRAVEL_SCALES = np.array([15.0, 15.0, 0.3])
-AHEAD = 35.0  # cm that points of joints lie before the hips, where a key does not say
+AHEAD = 35.0  # cm from the hips forward to a joint's point, if the key gives no position
 SOLVED = 1.0  # cm; a joint that stays further from its point is out of reach
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """What a recording does in the frames first to end, the frame before the motion being -1.
+    """Part of a recording that leads to a key, for the frames from first to end; -1 is the frame before the motion.
 
     Attributes:
-        poses: (N + M, 24) embeddings, and those of the frames after the key, which references look ahead at.
-        phases: (N,) of a performance, strike or jump.
-        ground: (N, 3) place in cm and heading in radians, where the recording was made.
-        gain: of the poses as references.
+        poses: (N + M, 24) pose embeddings of N frames, and of M after the key for the look-ahead of references.
+        phases: (N,) phases of a performance, strike or jump.
+        ground: (N, 3) recorded x, z in cm and heading in radians.
+        gain: reference gain.
     """
 
     first: int
@@ -77,9 +77,10 @@ class Stretch:
 def matched_stretches(
     model: MotionModel, keys: Sequence[Key], begin: Opening, types: Array, way: Array | None
 ) -> list[Stretch]:
-    """For each key with a pose the stretch of a recording of its type that leads from the pose before to the key's.
+    """For each key with a pose, find the recorded stretch of its type that best leads there from the pose before.
 
-    The pose before is that of the beginning or of the key before, if that is at most LONGEST_STRETCH away.
+    The pose before is the first pose of the motion or that of the previous key. A key that comes more than
+    LONGEST_STRETCH after it gets no stretch.
     """
     out = []
     before: tuple[int, Array] | None = (-1, begin.shown.poses[0])
@@ -104,7 +105,7 @@ def matched_stretches(
 
 
 def _travel(start: Array, end: Array) -> Array:
-    """The way (N, 3) from places and headings (N, 3) to others, seen from the first: cm and radians."""
+    """Displacements (N, 3) between places and headings (N, 3), in the heading frame of the first: cm and radians."""
     away = rotate_ground(-start[:, 2:3], (end - start)[:, None, :2])[:, 0]
     return np.concatenate([away, wrap_angle(end[:, 2:3] - start[:, 2:3])], axis=1)
 
@@ -112,13 +113,14 @@ def _travel(start: Array, end: Array) -> Array:
 def _stretch(
     kind: MotionType, start: Array, end: Array, frames: int, travel: Array | None
 ) -> tuple[Array, Array, Array] | None:
-    """The recorded frames of a type that lead most nearly from one pose to another in so many frames.
+    """Find the recording of a type that best leads from one pose to another in `frames` frames.
 
     Args:
-        travel: (3,) the way in that time, which the recording should go too: cm and radians; None for any.
+        travel: (3,) wanted displacement in that time, cm and radians; None for any.
 
     Returns:
-        Their embeddings (frames + 1 + AFTER, 24), phases (frames + 1,) and ground (frames + 1, 3).
+        Embeddings (frames + 1 + AFTER, 24), phases (frames + 1,) and ground (frames + 1, 3); None if no recording is
+        long enough.
     """
     best, found = np.inf, None
     for clip in kind.reference_clips:
@@ -135,7 +137,7 @@ def _stretch(
             cost += np.square(off).sum(-1)
         at = int(cost.argmin())
         if cost[at] < best:
-            # What differs at both ends is spread over the stretch, and fades after it.
+            # The errors at both ends are spread over the stretch, and fade after it.
             share = np.minimum(np.arange(frames + 1 + AFTER) / frames, 1.0)[:, None]
             left = smoothed_step(1.0 - np.maximum(np.arange(-frames, AFTER + 1), 0) / AFTER)[:, None]
             gap = lerp(start - poses[at], end - poses[at + frames], share) * left
@@ -146,13 +148,13 @@ def _stretch(
 
 
 def recorded_way(way: Array, stretches: Sequence[Stretch], begin: Array) -> Array:
-    """The way (T, 3) with the ways of recordings where they lead to keys.
+    """Replace the path (T, 3) by recorded paths where recordings lead to keys.
 
-    A body that is thrown about goes and faces as recorded, not along a curve. What a recording's way is off at its end
-    is spread evenly.
+    A body that flips or rolls moves and faces as recorded, not along a curve. The error at the end of a recorded path
+    is spread evenly over it.
 
     Args:
-        begin: (3,) the place before the first frame.
+        begin: (3,) place before the first frame.
     """
     out = way.copy()
     for stretch in stretches:
@@ -171,7 +173,7 @@ def recorded_way(way: Array, stretches: Sequence[Stretch], begin: Array) -> Arra
 
 
 class KeyedController:
-    """The controls of another controller, with the keys' poses and places shown in time; a Controller."""
+    """Adds the poses and places of keys to the controls of another controller; a Controller."""
 
     def __init__(
         self,
@@ -181,7 +183,7 @@ class KeyedController:
         begin: Opening,
         share: float,
     ) -> None:
-        """Take a plan with keys; share is the length of the legs relative to the default body's."""
+        """Take a plan with keys; share is the leg length relative to that of the default body."""
         self.model, self.base, keys = model, base, plan.keys
         self.way = planned_way(keys, begin.start.ground[0], model.fps, share)
         self.stretches = matched_stretches(model, keys, begin, plan.track, self.way)
@@ -202,7 +204,7 @@ class KeyedController:
         return self._shown(self._recorded(asked, now[-1], frame) if now else asked, frame)
 
     def _recorded(self, asked: Controls, stretch: Stretch, frame: int) -> Controls:
-        """The same with a stretch as reference, which goes on after its key for a while and fades."""
+        """Replace the reference by a stretch; after its key it fades out over SHOWN_SECONDS."""
         past = max(0, frame - stretch.end) / (SHOWN_SECONDS * self.model.fps)
         share = float(smoothed_step(np.array(1.0 - past)))
         if share <= 0.0:
@@ -216,11 +218,11 @@ class KeyedController:
         )
         if frame >= stretch.end:
             return asked
-        # Of what the base plays the phase is another one, which would hold back or hurry the body.
+        # The base controller plays another recording; its phase would slow the body down or hurry it.
         return replace(asked, phase=np.full_like(asked.phase, stretch.phases[frame - stretch.first]))
 
     def _led(self, asked: Controls, frame: int, ground: Array) -> Controls:
-        """The same with the planned way as trajectory; gaits follow it without recordings."""
+        """Replace the trajectory by the planned path; gaits follow it without reference poses."""
         assert self.way is not None
         ahead = self.way[np.minimum(frame + np.array(TRAJECTORY_OFFSETS), len(self.way) - 1)]
         heading = ground[:, 2:3]
@@ -238,7 +240,7 @@ class KeyedController:
         ).with_mask(1.0)
 
     def _shown(self, asked: Controls, frame: int) -> Controls:
-        """The same with the poses of keys that no recording leads to among the reference poses."""
+        """Add the poses of keys without a stretch to the reference poses."""
         reference, gain = asked.reference.copy(), asked.reference_gain.copy()
         wide = SHOWN_SECONDS * self.model.fps
         preset = max(kind.preset.reference_gain for kind in self.model.types.values())
@@ -254,11 +256,11 @@ class KeyedController:
 
 
 def planned_way(keys: Sequence[Key], start: Array, fps: float, share: float) -> Array | None:
-    """Place and heading (T, 3) of every frame up to the last key with a place; None if no key has one.
+    """Place and heading (T, 3) of every frame up to the last key with a place or facing; None without such a key.
 
     Args:
         start: (3,) x, z in cm and heading, before frame 0.
-        share: length of the legs relative to the body whose way the network goes.
+        share: leg length relative to the body that the network moves.
     """
     placed = [(key, goal / share) for key in keys if (goal := key.goal) is not None]
     if not placed and all(key.facing is None for key in keys):
@@ -292,7 +294,7 @@ def planned_way(keys: Sequence[Key], start: Array, fps: float, share: float) -> 
 
 
 def _curve(times: Array, places: Array, frames: Array) -> Array:
-    """A cubic curve (T, 2) through places (N, 2) at times (N,), with the mean speeds around them; held at the end."""
+    """A cubic curve (T, 2) through places (N, 2) at times (N,); after the last time it stays at the last place."""
     if len(times) == 1:
         return np.repeat(places, len(frames), axis=0)
     speeds = np.diff(places, axis=0) / np.diff(times)[:, None]
@@ -312,17 +314,17 @@ def _curve(times: Array, places: Array, frames: Array) -> Array:
 def meet_keys(
     motion: Motion, contacts: Array, keys: Sequence[Key], ik: bool = True, before: Motion | None = None
 ) -> Motion:
-    """A roll-out that arrives at every key.
+    """Change a roll-out so that it meets every key exactly.
 
     Args:
-        motion: on the canonical joints, in cm; feet not yet locked.
+        motion: on the canonical joints, in cm, before foot locking.
         contacts: (T, 4) predicted contacts.
-        keys: in order of time, none beyond the end.
-        ik: lock feet while they touch the floor.
-        before: frames on the same body that the motion goes on from without a pop.
+        keys: in order of time, none after the end.
+        ik: finish the motion, with foot locking.
+        before: frames on the same body that the motion continues smoothly.
 
     Raises:
-        ControlError: a joint is out of reach of the body where its key has it.
+        ControlError: the body cannot reach a joint's point.
     """
     goals = [_reached(motion, key) for key in keys]
     moved = _over_the_ground(motion, keys, goals)
@@ -347,7 +349,7 @@ def _heading(motion: Motion, frame: int) -> float:
 
 
 def _wanted(motion: Motion, key: Key) -> tuple[Array, Array]:
-    """Local rotations (23, 4) and root (3,) of a key's frame, without its joints' points."""
+    """Local rotations (23, 4) and root (3,) of a key's frame before joints reach for their points."""
     frame = _frame(motion, key)
     rotations, root = motion.local_rotations[frame].copy(), motion.root_positions[frame].copy()
     heading = _heading(motion, frame)
@@ -373,7 +375,7 @@ def _reached(motion: Motion, key: Key) -> tuple[Array, Array]:
     rotations, root = _wanted(motion, key)
     if not key.joints:
         return rotations, root
-    if key.position is None:  # from where the body can reach it
+    if key.position is None:  # move the root to within reach of the points
         points = np.mean(list(key.joints.values()), axis=0)
         away = (points - root)[[0, 2]]
         length = float(np.linalg.norm(away))
@@ -388,7 +390,7 @@ def _reached(motion: Motion, key: Key) -> tuple[Array, Array]:
 
 
 def _over_the_ground(motion: Motion, keys: Sequence[Key], goals: Sequence[tuple[Array, Array]]) -> Motion:
-    """Move and turn the whole motion smoothly, so that the root is at each key's place and faces its way."""
+    """Move and turn the whole motion smoothly so that the root has each key's place and facing."""
     shifts, turns = [(0.0, np.zeros(2))], [(0.0, np.zeros(1))]
     for key, (rotations, root) in zip(keys, goals, strict=True):
         frame = _frame(motion, key)
@@ -411,7 +413,7 @@ def _yaw(quat: Array) -> float:
 
 
 def _spread(knots: Sequence[tuple[float, Array]], frames: Array) -> Array:
-    """Values (T, C) that pass through knots (frame, values) and rest there; held after the last."""
+    """Values (T, C) that pass through knots (frame, values) with zero velocity; constant after the last knot."""
     out = np.repeat(knots[0][1][None], len(frames), axis=0)
     for (before, low), (after, high) in pairwise(knots):
         share = smoothed_step((frames - before) / max(after - before, 1.0))[:, None]
@@ -420,7 +422,7 @@ def _spread(knots: Sequence[tuple[float, Array]], frames: Array) -> Array:
 
 
 def _posed(motion: Motion, key: Key, around: Sequence[float]) -> Motion:
-    """The motion with a key's pose at its frame, fading over the frames around; the nearest keys stay as they are."""
+    """Set a key's pose at its frame, with an offset that fades out before the neighbouring keys (times in `around`)."""
     frame = _frame(motion, key)
     rotations, root = _reached(motion, key)
     wide = REACH_SECONDS * motion.fps
@@ -432,7 +434,7 @@ def _posed(motion: Motion, key: Key, around: Sequence[float]) -> Motion:
     made = _offset(motion, share[:, None, None] * gap, share[:, None] * (root - motion.root_positions[frame]))
     if key.pose is None or key.joints:
         return made
-    # The pose is passed as its recording passes it: the offsets have the missing speed as their slope.
+    # The body passes the pose at its recorded velocity: a second offset adds the missing velocity.
     facing = key.facing if key.facing is not None else _heading(motion, frame)
     turn = quat_from_yaw(np.array(facing, np.float32))
     turns = key.pose.turns.copy()
@@ -444,7 +446,7 @@ def _posed(motion: Motion, key: Key, around: Sequence[float]) -> Motion:
 
 
 def _continued(motion: Motion, before: Motion, frames: int) -> Motion:
-    """The motion with its first frames bent so that they go on from the frames before, within so many frames."""
+    """Change the first `frames` frames so that the motion continues the pose and velocity of the frames before."""
     rotations, roots = before.local_rotations[-2:], before.root_positions[-2:]
     change = quat_multiply(rotations[1], quat_inverse(rotations[0]))
     gap = quat_to_expmap(
@@ -462,7 +464,7 @@ def _continued(motion: Motion, before: Motion, frames: int) -> Motion:
 
 
 def _speeds(motion: Motion, frame: int) -> tuple[Array, Array]:
-    """How joints turn (J, 3), in the parent's space, and the root moves (3,) between frames around one."""
+    """Velocities per frame: of joints (J, 3), in radians in parent space, and of the root (3,); central differences."""
     before, after = max(frame - 1, 0), min(frame + 1, len(motion) - 1)
     apart = max(after - before, 1)
     change = quat_multiply(motion.local_rotations[after], quat_inverse(motion.local_rotations[before]))
@@ -472,7 +474,7 @@ def _speeds(motion: Motion, frame: int) -> tuple[Array, Array]:
 
 
 def _offset(motion: Motion, turns: Array, shifts: Array) -> Motion:
-    """The motion turned by turns (T, J, 3) in the parents' spaces and moved by shifts (T, 3)."""
+    """Turn joints by (T, J, 3) in parent space and move the root by shifts (T, 3)."""
     rotations = quat_normalize(quat_multiply(expmap_to_quat(turns), motion.local_rotations))
     return replace(
         motion,
@@ -482,7 +484,7 @@ def _offset(motion: Motion, turns: Array, shifts: Array) -> Motion:
 
 
 def arrival(motion: Motion, key: Key) -> tuple[float, float]:
-    """How far a motion is from a key: largest distance in cm, and largest angle in degrees."""
+    """Errors of a motion at a key: largest distance in cm and largest angle in degrees."""
     frame = _frame(motion, key)
     _, positions = motion_kinematics(motion.cut(frame, frame + 1))
     distances, angles = [0.0], [0.0]

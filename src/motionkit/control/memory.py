@@ -1,4 +1,4 @@
-"""What characters remember from frame to frame: the stance they found, the speed they lack, types that are blended."""
+"""State of characters between frames: found stances, speed control, first steps, type blends, performances."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from motionkit.features.reference import REFERENCE_OFFSETS
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 
-AFTER_EVENT = 10  # frames of the recording that follow a strike or jump; chosen
-FIRST_STEPS = 45  # frames of a gait from standing that recordings are shown for; chosen
+AFTER_EVENT = 10  # frames of the recording shown after a strike or jump; chosen
+FIRST_STEPS = 45  # frames of a gait, from standing, with reference poses; chosen
 
 
 @dataclass(frozen=True)
 class TrimSettings:
     """Integral controller for speed; all numbers are chosen, by live roll-outs."""
 
-    seconds: float = 1.0  # in which a lack of speed is asked for once more
-    wait: float = 0.5  # s after a change of wish, in which the body is still on its way to it
-    same_wish: float = 0.1  # share of the speed; what differs less is the same wish
-    lead: float = 0.3  # share of a change of speed that is asked for beyond it at first
-    lead_seconds: float = 0.35  # for how long
-    limits: tuple[float, float] = (0.75, 1.35)  # shares of the wished speed that are asked for
+    seconds: float = 1.0  # time in which the integral grows by the present error
+    wait: float = 0.5  # s after a change of wish, while the body accelerates, without integration
+    same_wish: float = 0.1  # change of velocity, as a share of the speed, up to which the wish is the same
+    lead: float = 0.3  # overshoot of the requested speed at first, as a share of the change
+    lead_seconds: float = 0.35  # duration of the overshoot
+    limits: tuple[float, float] = (0.75, 1.35)  # limits of the requested speed, as shares of the wish
 
 
 TRIM = TrimSettings()
@@ -48,12 +48,12 @@ class Bodies(Protocol):
 
 
 class FoundStances:
-    """Moves the reference poses of characters that have come to a stand to the stances that they have found."""
+    """Moves the reference poses of characters that have stopped to the stances that they found."""
 
     def __init__(
         self, model: MotionModel, stands: Sequence[Sequence[Stand]], bodies: Bodies | None = None
     ) -> None:
-        """Take where each of B characters stands after other types; without bodies no recordings are shown there."""
+        """Take the stands of each of B characters after other types; without bodies a stand gets no reference poses."""
         self.model, self.bodies = model, bodies
         self.standing = [
             (character, replace(stand, first=stand.first + SETTLING))
@@ -63,7 +63,7 @@ class FoundStances:
         self.found: dict[int, Array | None] = {}
 
     def shown(self, asked: Controls, frame: int) -> Controls:
-        """The controls (B, ...) of a frame about the stances; without recordings where none is like the stance."""
+        """Move the reference poses of a frame (B, ...) to the stances; drop them where no recording is similar."""
         now = [
             (number, character)
             for number, (character, stand) in enumerate(self.standing)
@@ -81,7 +81,7 @@ class FoundStances:
         return replace(asked, reference=reference, reference_gain=gain)
 
     def _stance(self, number: int) -> Array | None:
-        """The stance (24,) that a body has when it is first asked for; None if no recording is like it."""
+        """The stance (24,) of a body at the first call; None if it is unlike all recordings."""
         if number not in self.found:
             character, stand = self.standing[number]
             stance = None
@@ -94,15 +94,15 @@ class FoundStances:
 
 
 class SpeedTrim:
-    """Integral controller for speed: the share of the wished speed that one character is asked for, for each gait.
+    """Integral controller for the speed of one character: a factor on the wished speed for each gait.
 
-    A well trained network is off the speed of its trajectory by a tenth, one trained for two hours by a fourth, and
-    locked feet keep the root back. On a path the place asked for runs ahead of a body that lags, which makes up for it.
-    A held key has no place: the lack of speed is summed up here while the wish stays the same. Nor does a body change
-    its speed at once: as the wish changes, more of the change is asked for than is wished.
+    A well trained network misses the speed of its trajectory by a tenth, one trained for two hours by a quarter, and
+    foot locking slows the root further. On a path the trajectory runs ahead of a body that lags, which corrects the
+    speed. A velocity wish has no such place, so the error is integrated while the wish stays the same. After a change
+    of wish the requested speed overshoots for TRIM.lead_seconds, because a body changes its speed slowly.
 
-    The share is kept while another gait goes, and over a change of speed: a body that goes at 0.9 of a speed goes at
-    about 0.9 of another one.
+    The factor of a gait stays during other gaits and after a change of speed: a body at 0.9 of one speed reaches about
+    0.9 of another.
     """
 
     def __init__(self, model: MotionModel) -> None:
@@ -110,16 +110,16 @@ class SpeedTrim:
         self.shares: dict[str, float] = {}
         self._kind = ""
         self._wish: Pair = (0.0, 0.0)
-        self._lead = 0.0  # cm/s to ask for beyond the wish, as it has just changed
-        self._since = 0  # frames for which the wish is the same
+        self._lead = 0.0  # cm/s of overshoot after a change of wish
+        self._since = 0  # frames since the last change of wish
 
     def __call__(self, kind: str, velocity: Pair, gone: Pair) -> Pair:
-        """Return the velocity to ask a gait for in this frame; others are asked for what is wished.
+        """Return the velocity to request in this frame; types other than gaits get the wished one.
 
         Args:
-            kind: the type that goes.
-            velocity: wished, x and z in cm/s.
-            gone: of the body, x and z in cm/s.
+            kind: the present type.
+            velocity: wished velocity, x and z in cm/s.
+            gone: measured velocity of the body, x and z in cm/s.
         """
         speed = math.hypot(*velocity)
         if speed < STANDS_BELOW or self.model.kind(kind) is not MotionKind.GAIT:
@@ -143,15 +143,15 @@ class SpeedTrim:
         return share * velocity[0], share * velocity[1]
 
     def _within(self, kind: str, wanted: float, asked: float) -> float:
-        """The speed to ask for: not beyond those of the recordings for the sake of one within them."""
+        """Limit a requested speed to the recorded speeds, or to the wanted speed if that is outside them."""
         slowest, fastest = speed_limits(self.model, kind)
         return max(min(asked, max(fastest, wanted)), min(slowest, wanted))
 
 
 class FirstSteps:
-    """The first steps of a gait from standing: one character is shown few recordings for FIRST_STEPS frames.
+    """Reference poses for one character during the first FIRST_STEPS frames of a gait from standing.
 
-    Steered by the trajectory alone from the start, it leans after it and drops by 8 cm before the first foot follows.
+    With the trajectory alone, the body leans forward and drops by 8 cm before it lifts the first foot.
     """
 
     def __init__(self, model: MotionModel, choice: int = 0) -> None:
@@ -159,38 +159,38 @@ class FirstSteps:
         self._kind, self._left = "", 0
 
     def begin(self, kind: str) -> None:
-        """A body that stands begins to go in this gait."""
+        """Begin the first steps of a standing body in a gait."""
         self._player.forget()
         self._player.begin(kind, speed=0.0)
         self._kind, self._left = kind, FIRST_STEPS
 
     def takes(self, kind: str) -> bool:
-        """Whether the first steps in this gait are still to come; those in another gait are over."""
+        """Whether first steps in this gait are left; a change of gait ends them."""
         if kind != self._kind:
             self._left = 0
         return self._left > 0
 
     def reference(self, asked: Controls, trajectory: Array) -> Controls:
-        """Controls (1, ...) of the next frame with a reference; asked are those without, trajectory (1, 24)."""
+        """Add the reference pose of the next frame to controls (1, ...), for a trajectory (1, 24)."""
         self._left -= 1
         shown = self._player.play(1, trajectory)
         return replace(asked, reference=shown.reference, reference_gain=shown.reference_gain)
 
 
 class TypeBlend:
-    """Type weights of a live character: they go over to those of another type from the frame it is asked for."""
+    """Type weights of a live character; a blend to another type begins in the frame that requests it."""
 
     def __init__(self, model: MotionModel, kind: str, frames: int) -> None:
-        """Begin in a type; frames is what a change takes."""
+        """Begin in a type; frames is the length of a blend."""
         self.model, self.frames = model, frames
         self.type = self.target = kind
         self.weights = self.before = model.type_weights(kind)
         self.blended = frames
 
     def __call__(self, kind: str, goal: Array) -> Array:
-        """Type weights (N,) on their way to a goal (N,), which they reach within the frames of a change of kind.
+        """Return type weights (N,) that reach a goal (N,) within self.frames frames of a change of kind.
 
-        kind is empty where the goal itself says which types are shown.
+        kind is empty if the goal itself blends the types, as on a path.
         """
         if kind != self.target:
             self.before, self.target, self.blended = self.weights, kind, 0
@@ -203,7 +203,7 @@ class TypeBlend:
 
 @dataclass(frozen=True)
 class Performance:
-    """A type shown once; its first frame is due at frame begins."""
+    """A type shown once; its first frame comes at frame `begins`."""
 
     type: str
     begins: int
@@ -211,7 +211,7 @@ class Performance:
 
     @property
     def frames(self) -> int:
-        """How long it takes."""
+        """Length in frames."""
         return len(self.controls.phase)
 
     def over(self, frame: int) -> bool:
@@ -221,7 +221,7 @@ class Performance:
 
 @dataclass(frozen=True)
 class Request:
-    """A type to show once: by a choice of recordings, for some seconds if it has no length of its own."""
+    """A type to show once; choice picks its recordings, and seconds counts if it has no length of its own."""
 
     type: str
     seconds: float
@@ -229,20 +229,20 @@ class Request:
 
 
 class Performances:
-    """What a live character shows once: the performance that is shown, and the one that waits for its end."""
+    """The present performance of a live character, and the next one, which waits for its end."""
 
     def __init__(self, model: MotionModel, blend_frames: int) -> None:
-        """Begin with none; blend_frames is what a change of type takes."""
+        """Begin without a performance; blend_frames is the length of a change of type."""
         self.model, self.blend_frames = model, blend_frames
         self.shown: Performance | None = None
         self.waiting: Request | None = None
 
     def take_turns(self, frame: int, speed: float, again: Request | None) -> Performance | None:
-        """The performance that is shown in a frame: once one is over, the one that waits begins.
+        """Return the performance of a frame; when one is over, the waiting one begins.
 
         Args:
-            speed: of the body in cm/s.
-            again: what is shown again and again where nothing waits.
+            speed: speed of the body in cm/s.
+            again: request to repeat if none waits.
         """
         before = self.shown
         if before is not None and not before.over(frame):
@@ -250,7 +250,7 @@ class Performances:
         request = self.waiting or again
         self.shown = self.waiting = None
         if request is not None:
-            # Weights cross the middle of their blend as the first frame is due, as they do in training.
+            # The first frame comes in the middle of the type blend, as in training.
             repeats = before is not None and before.type == request.type
             begins = frame if repeats else frame + self.blend_frames // 2
             self.shown = Performance(request.type, begins, self._played(request, speed))

@@ -1,4 +1,4 @@
-"""A body cannot change its speed at once: trajectories that carry the speed of one type over into the next."""
+"""Trajectories that carry the speed of one type over into the next, because a body cannot change its speed at once."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, future_trajectory
 
-# cm/s^2 by which speed changes in a transition; strides add as much again, and recorded gaits stay below the sum in
-# 99.9 % of their frames (measured).
+# Acceleration of a transition in cm/s^2. Strides add as much again; recorded gaits stay below the sum in 99.9 % of
+# their frames (measured).
 CHANGE = 350.0
-LEAST = 60.0  # cm/s; smaller changes of speed are left to the network; chosen
+LEAST = 60.0  # cm/s; the network makes smaller changes of speed by itself; chosen
 SPAN = 10  # frames over which a speed is measured; chosen
 
 
 def forward_speeds(ground: Array, fps: float) -> Array:
-    """Speeds (T,) in cm/s in the direction that the body faces, over SPAN frames around each.
+    """Speeds (T,) in cm/s in the direction of the heading, over SPAN frames around each.
 
     Args:
         ground: (T, 3) root x, z (cm) and heading (radians).
@@ -32,7 +32,7 @@ def ground_speeds(ground: Array, fps: float) -> Array:
 
 
 def speeds_ahead(ground: Array, fps: float) -> Array:
-    """Speeds (T,) in cm/s, as the crow flies, in the second from each frame on; at the end, of the last second."""
+    """Straight-line speeds (T,) in cm/s over the second after each frame; in the last second, over that second."""
     last = len(ground) - 1
     second = min(round(fps), last)
     begins = np.minimum(np.arange(last + 1), last - second)
@@ -49,13 +49,13 @@ def _velocities(ground: Array, fps: float) -> Array:
 
 
 def asked_speed(trajectory: Array, fps: float) -> float:
-    """Mean speed in cm/s, to its last place as the crow flies, of a trajectory (24,) that is asked for."""
+    """Mean straight-line speed in cm/s from the present place to the last place of a trajectory (24,)."""
     count = 2 * len(TRAJECTORY_OFFSETS)
     return float(np.linalg.norm(trajectory[count - 2 : count])) * fps / TRAJECTORY_OFFSETS[-1]
 
 
 def carried_speeds(speeds: Array, before: float, fps: float, change: float = CHANGE) -> Array:
-    """Speeds (N,) that go over from that before to wanted ones (T,) by change in cm/s^2; N frames until they meet."""
+    """Speeds (N,) that change from `before` at a rate of change cm/s^2, for N frames until they reach speeds (T,)."""
     step = change / fps
     down = before > speeds[0]
     ramp = before + (-step if down else step) * np.arange(1, len(speeds) + 1)
@@ -66,11 +66,11 @@ def carried_speeds(speeds: Array, before: float, fps: float, change: float = CHA
 def carried_over(
     asked: Controls, ground: Array, before: float, fps: float, change: float = CHANGE
 ) -> Controls:
-    """The controls (T, ...) of a type whose first trajectories carry over the speed (cm/s) of a body before it.
+    """Change the first trajectories of controls (T, ...) so that the body keeps its speed `before` (cm/s) at first.
 
     Args:
-        ground: (T', 3) the recording that is shown with them, from the same frame on.
-        change: cm/s^2 by which the speed goes over.
+        ground: (T', 3) ground path of the recording shown with them, from the same frame on.
+        change: rate of the change of speed in cm/s^2.
     """
     speeds = forward_speeds(ground, fps)
     if abs(before - float(speeds[0])) < LEAST:

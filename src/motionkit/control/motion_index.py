@@ -1,7 +1,7 @@
-"""Finds the frames of reference clips that are most like a pose and a trajectory.
+"""Motion matching: finds the frames of reference clips that are most like a pose and a trajectory.
 
-This is the search of motion matching (Clavet 2016, "Motion Matching and The Road to Next-Gen Animation"). It chooses
-only which reference poses are shown; the network makes the body itself.
+The search is that of Clavet 2016, "Motion Matching and The Road to Next-Gen Animation". It only chooses the reference
+poses; the network makes the motion.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from motionkit.arrays import Array, lower_median
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.models.motion_type import ReferenceClip
 
-NEARBY = 90  # frames
-# A state is the present pose and those so many frames ago: how the body moves, and what it has just done.
+NEARBY = 90  # frames around the present one that a search skips
+# A state holds the poses this many frames ago. It tells how the body moves and what it has just done.
 STATE_FRAMES = (0, 5, 15, 30)
-# A position (cm) or a direction (of unit length) that differs by so much costs as much as a pose one deviation off.
+# Errors of a position (cm) and of a unit direction that cost as much as an embedding value off by one deviation.
 POSITION_UNIT, DIRECTION_UNIT = 20.0, 0.5
 
 
@@ -25,14 +25,14 @@ class MotionIndex:
     """All frames of some clips, with their states and trajectories.
 
     Attributes:
-        clips: the clips, in the order given.
-        first: for each clip the number of its first frame among all frames.
-        left: (F,) frames to the end of the clip, the frame itself included.
-        moves: (F,) whether at least the usual movement follows.
+        clips: the clips, in the given order.
+        first: index of each clip's first frame among all frames.
+        left: (F,) frames to the end of the clip, including the frame.
+        moves: (F,) whether at least median movement follows.
     """
 
     def __init__(self, clips: Sequence[ReferenceClip], rests: bool = False) -> None:
-        """rests: frames that little movement follows count as well, and moves is True everywhere."""
+        """Index the clips; with rests, frames with little movement after them count too (moves is all True)."""
         self.clips = tuple(clips)
         lengths = [len(clip) for clip in clips]
         self.first = [sum(lengths[:i]) for i in range(len(lengths))]
@@ -54,8 +54,8 @@ class MotionIndex:
 
         Args:
             least: frames that must follow in the clip.
-            stay: number of the present frame, which is kept unless another costs less than gain times as much. Frames
-                near it do not count: in a slow motion the same second would be played again and again.
+            stay: index of the present frame, which wins unless another costs less than gain times as much. Frames near
+                it do not count, because in a slow motion the same second would play again and again.
             gain: see stay.
         """
         wanted = np.concatenate([state.reshape(-1), _scaled(trajectory)])
@@ -71,12 +71,12 @@ class MotionIndex:
 
 
 def pose_states(clip: ReferenceClip, frames: Array) -> Array:
-    """Pose embeddings (..., S, 24) of a clip STATE_FRAMES before frames (...)."""
+    """States (..., S, 24) of a clip at frames (...): the pose embeddings STATE_FRAMES before them."""
     return clip.poses[np.maximum(frames[..., None] - np.array(STATE_FRAMES), 0)]
 
 
 def pose_state(clip: ReferenceClip, at: int) -> Array:
-    """Pose embeddings (S, 24) of a clip STATE_FRAMES before a frame."""
+    """State (S, 24) of a clip at a frame."""
     return pose_states(clip, np.array(at))
 
 

@@ -1,4 +1,4 @@
-"""How a character begins: frames to start from, and how much of its first type they have shown."""
+"""Opening of a motion: the frames a character starts from, and how much of its first type they show."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from motionkit.motion.skeleton import Skeleton
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What a body has shown before its first frame.
+    """What the frames before a motion show.
 
     Attributes:
-        poses: (S, 24) pose embeddings of its last frames (last_poses).
-        behind: frames of the first type's performance.
-        speed: over the ground in cm/s at the end; None if it is not known.
+        poses: (S, 24) state of the last frame (last_poses).
+        behind: frames of the first type's performance that have been shown.
+        speed: speed over the ground in cm/s at the last frame; None if unknown.
     """
 
     poses: Array
@@ -40,7 +40,7 @@ class Opening:
     Attributes:
         start: the frames, on the character's body.
         shown: what they show.
-        length: frames of the performance that the start pose begins; 0 for other types, and for frames of a clip.
+        length: length in frames of the performance that the start pose begins; 0 for other types and for a clip.
     """
 
     start: Start
@@ -54,10 +54,10 @@ def opening(
     """Start from a type's own start pose, or from the first frames of a clip.
 
     Args:
-        kind: the first type to be shown.
+        kind: the first type of the motion.
         body: the skeleton that the network moves.
         init: a BVH file of any rig, or a canonical motion in cm; None takes a start pose.
-        choice: picks the start pose, counted round.
+        choice: picks the start pose, modulo their number.
 
     Raises:
         MotionkitError: for a file that cannot be used, or a type without start poses.
@@ -68,19 +68,19 @@ def opening(
     if init is not None:
         shown = Shown(poses, frames_behind(model, kind, poses), speed)
         return Opening(on_body(model, start, body), shown, 0.0)
-    # A start pose is the beginning of a performance; what comes after it goes on from there.
+    # A start pose is the beginning of a performance, so its frames have been shown.
     length = model.phase_seconds(kind) * model.fps
     shown = Shown(poses, len(features) if length else 0, speed)
     return Opening(on_body(model, start, body), shown, length)
 
 
 def last_poses(model: MotionModel, features: Array) -> Array:
-    """Pose embeddings (S, 24) of the frames of (T, 276) that are STATE_FRAMES before the last."""
+    """State (S, 24) of the last of features (T, 276): the pose embeddings STATE_FRAMES before it."""
     return model.pose_embedding.of(features[[max(0, len(features) - 1 - before) for before in STATE_FRAMES]])
 
 
 def last_speed(model: MotionModel, features: Array) -> float:
-    """Speed over the ground in cm/s at the last of frames (T, 276); 0 at one alone."""
+    """Speed over the ground in cm/s at the last of features (T, 276); 0 if T is 1."""
     if len(features) < 2:
         return 0.0
     ground = integrate_ground(features, np.zeros(3), model.fps, model.config.layout)

@@ -1,7 +1,6 @@
-"""Paths on the ground: the paper's trajectory J, parts of points with a motion type and a speed.
+"""Paths on the ground (the paper's trajectory J): parts with points, a motion type and a speed.
 
-Inside, lengths are cm and speeds cm per second; files and named shapes are in metres and metres per
-second, as a user thinks of them.
+Inside, lengths are cm and speeds cm per second. Files and named shapes use metres and metres per second.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ class PathPart:
 
     Attributes:
         points: (N, 2) x, z in cm.
-        type: what to do on it.
-        speed: cm/s; None for the type's own speed.
+        type: motion type on it.
+        speed: cm/s; None for the usual speed of the type.
         stop: seconds to stand still at its end.
     """
 
@@ -52,8 +51,8 @@ class Path2D:
     Attributes:
         points: (N, 2) x, z in cm, SPACING apart.
         tangents: (N, 2) unit directions.
-        part: (N,) index of the part.
-        parts: what is asked for on each.
+        part: (N,) index of each point's part.
+        parts: the parts.
     """
 
     points: Array
@@ -81,7 +80,7 @@ class Path2D:
 
     @property
     def stops(self) -> tuple[tuple[float, float], ...]:
-        """Where to stand still and for how long: arc lengths in cm and seconds, in the order of the path."""
+        """Stops in the order of the path: arc lengths in cm, and seconds to stand still."""
         ends = np.searchsorted(self.part, np.arange(len(self.parts)), side="right") * SPACING
         return tuple(
             (min(float(end), self.length), part.stop)
@@ -99,7 +98,7 @@ class Path2D:
 
 
 def make_path(parts: list[PathPart]) -> Path2D:
-    """Join parts end to end; raises ControlError for parts too short to go anywhere."""
+    """Join parts end to end; raises ControlError for a part shorter than 4 cm or a path that is too long."""
     if not parts:
         raise ControlError("the path has no parts")
     pieces: list[Array] = []
@@ -183,7 +182,7 @@ def _pentagram(size: float) -> Array:
 
 
 def _u_turn(size: float) -> Array:
-    # A way out, half a circle to the left with a tenth of its length as radius, and the way back.
+    # Straight out, a half circle to the left with a tenth of the length as radius, and straight back.
     radius = 0.1 * size
     out = np.array([[0.0, 0.0], [0.0, size]], np.float64)
     turn = _arc(radius, -math.pi / 2, math.pi, (radius, size))
@@ -191,7 +190,7 @@ def _u_turn(size: float) -> Array:
     return np.concatenate([out, turn[1:], back])
 
 
-# What size means: the length of line and u-turn, the radius of circle and figure-eight, the side of the others.
+# The size is the length of line and u-turn, the radius of circle and figure-eight, and the side of the others.
 SHAPES: dict[str, Callable[[float], Array]] = {
     "line": _line,
     "circle": _circle,
@@ -238,7 +237,7 @@ def _check_number(value: float, what: str, low: float, high: float) -> None:
 
 
 def check_shape_options(types: Any, size: float | None, speed: float | None) -> None:
-    """Raise ControlError if one of them is given: they are for named shapes, and any other path has its own."""
+    """Raise ControlError if any option is given: only named shapes take them, other paths have their own."""
     if types or size is not None or speed is not None:
         raise ControlError("types, size and speed are for named shapes; a path file holds its own")
 
@@ -247,7 +246,7 @@ def check_shape_options(types: Any, size: float | None, speed: float | None) -> 
 
 
 def read_path(file: str | Path) -> Path2D:
-    """A path from JSON or CSV, in metres and metres per second.
+    """Read a path from JSON or CSV, in metres and metres per second.
 
     JSON: {"parts": [{"type": "walking", "speed": 1.4, "stop": 2, "points": [[x, z], ...]}, ...]}; speed and stop are
     optional. CSV: columns x, z, type and optionally speed and stop; consecutive rows of one type make a part, and a

@@ -1,6 +1,6 @@
-"""What a character is to do, decided once before its first frame: motion types in time or along a path, and keys.
+"""The plan of a character, made once before its first frame: motion types in time or along a path, and keys.
 
-plan_types, plan_keys and plan_path make a Plan from what a user asks for. Controls, start poses and stances read it.
+plan_types, plan_keys and plan_path make a Plan from a user's request. Controls, start poses and stances read it.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class Segment:
 
     Attributes:
         type: its name.
-        seconds: how long it is shown; on a path at the speeds of the plan.
-        first: the first of its rows in the plan's track.
-        count: its rows.
-        settles: whether a body that has done something else comes to a stand here, and is shown recordings then.
+        seconds: its duration; on a path, at the speeds of the plan.
+        first: its first row in the plan's track.
+        count: number of its rows.
+        settles: whether the body stops here after another type and then follows recordings of standing.
     """
 
     type: str
@@ -45,7 +45,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Stand:
-    """A body stands in a type from one frame up to another (exclusive), or to the end."""
+    """A span of frames, from first to end (exclusive) or to the end of the plan, in which the body stands."""
 
     type: str
     first: int
@@ -54,13 +54,13 @@ class Stand:
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """How a path is gone along.
+    """How a character follows a path.
 
     Attributes:
         path: the path.
         speeds: (N,) cm/s at each of its points.
-        facings: radians from where the body faces to where it goes, for each part.
-        stand: the type id of standing at stops; None where the model has no such type.
+        facings: for each part, the angle in radians from the heading of the body to its direction of travel.
+        stand: type id of standing at stops; None if the model has no such type.
     """
 
     path: Path2D
@@ -71,17 +71,17 @@ class Route:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What one character is to do.
+    """What one character does.
 
     Attributes:
         segments: motion types one after another.
-        track: (T,) type id of every frame; on a path of every point.
-        type_count: motion types of the model.
-        seconds: how long the plan takes.
-        shown: the frames before; None where they are not known.
-        keys: poses to meet.
-        route: the path that is followed; None where types follow one another in time.
-        blend: frames that a change of type takes.
+        track: (T,) type id of every frame, or of every point of a path.
+        type_count: number of motion types of the model.
+        seconds: duration of the plan.
+        shown: what the frames before the motion show; None if unknown.
+        keys: keys to meet.
+        route: the path to follow; None for types in time.
+        blend: length in frames of a change of type.
     """
 
     segments: tuple[Segment, ...]
@@ -95,12 +95,12 @@ class Plan:
 
     @property
     def parts(self) -> tuple[TypePart, ...]:
-        """The types and their seconds."""
+        """The types and their durations."""
         return tuple(TypePart(segment.type, segment.seconds) for segment in self.segments)
 
     @cached_property
     def weights(self) -> Array:
-        """Type weights (T, N) of every frame of a plan in time, blended at each change of type."""
+        """Type weights (T, N) of every frame, blended at each change of type; for plans in time."""
         return blend_types(self.track, self.type_count, self.blend)
 
     @property
@@ -115,7 +115,7 @@ class Plan:
 
 
 def plan_types(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = None) -> Plan:
-    """Plan motion types one after another; performances are shown whole, less what has been shown of the first.
+    """Plan motion types one after another; performances are whole, less the frames of the first already shown.
 
     Raises:
         ControlError: for an unknown type.
@@ -134,13 +134,13 @@ def plan_types(model: MotionModel, parts: Sequence[TypePart], shown: Shown | Non
 
 
 def plan_keys(plan: Plan, keys: tuple[Key, ...]) -> Plan:
-    """The plan with keys to meet; raises ControlError for one beyond its end."""
+    """Add keys to a plan; raises ControlError for a key after its end."""
     check_length(keys, plan.seconds)
     return replace(plan, keys=keys)
 
 
 def plan_path(model: MotionModel, path: Path2D) -> Plan:
-    """Plan a path, with the type and the speed at each of its points.
+    """Plan a path: the type and the speed at each of its points.
 
     Raises:
         ControlError: for an unknown type.
@@ -162,14 +162,14 @@ def plan_path(model: MotionModel, path: Path2D) -> Plan:
 
 
 def whole_performances(model: MotionModel, parts: Sequence[TypePart], behind: int = 0) -> list[TypePart]:
-    """The parts with whole performances: what is left of their time goes to the next part.
+    """Shorten parts to whole performances; the next part gets the time that is left.
 
-    A body whose type changes while it is upside down has no way to go on but to flip over. The last part keeps its
-    time, and so does one that is shorter than a performance. A performance after another begins after a pause, and gets
-    the time of the pause besides where it would lack it.
+    Otherwise the type could change while the body is upside down, and the body would have to flip over. The last part
+    keeps its time, and so does a part shorter than a performance. A performance right after another begins after a
+    pause; if only the time of this pause is missing, the part gets it.
 
     Args:
-        behind: frames of the first part's performance that have been shown already.
+        behind: frames of the first part's performance that have been shown.
     """
     out, left, ended = [], 0.0, False
     pause, frame = PAUSE / model.fps, 1.0 / model.fps
@@ -191,6 +191,6 @@ def whole_performances(model: MotionModel, parts: Sequence[TypePart], behind: in
 
 
 def _settles(model: MotionModel, kind: str) -> bool:
-    """Whether a type is one of standing that recordings are shown of."""
+    """Whether a type is standing and has recordings to follow."""
     stands = model.kind(kind) is MotionKind.STANCE
     return stands and model.uses_references and bool(model.types[kind].reference_clips)

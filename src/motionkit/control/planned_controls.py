@@ -1,4 +1,4 @@
-"""The controls of planned motion types, before the first frame where the body's own frames are not needed."""
+"""The controls of planned motion types, computed before the first frame as far as they do not depend on the body."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from motionkit.models.motion_type import MotionKind
 
 
 def plan_controls(model: MotionModel, plan: Plan, choice: int = 0) -> Controls:
-    """Controls (T, ...) of a plan's types one after another, with reference poses.
+    """Controls (T, ...) of all types of a plan, with reference poses.
 
     Args:
         choice: picks among the reference clips of the types.
@@ -44,7 +44,7 @@ def plan_controls(model: MotionModel, plan: Plan, choice: int = 0) -> Controls:
 
 
 class CrowdController:
-    """Controls of a crowd, frame by frame: each character repeats the last frame of its plan."""
+    """Controls of several characters, frame by frame; after its plan, a character repeats the last controls."""
 
     def __init__(
         self, model: MotionModel, plans: Sequence[Plan], choice: int = 0, bodies: Bodies | None = None
@@ -53,8 +53,8 @@ class CrowdController:
 
         Args:
             plans: one for each character.
-            choice: picks among reference clips; each character makes a choice of its own.
-            bodies: the characters, whose stances show how to go on where they come to a stand.
+            choice: picks among reference clips for the first character, counted up for the others.
+            bodies: the characters; their recordings of standing are moved to the stances in which they stop.
         """
         self.controls = Controls.side_by_side(
             [plan_controls(model, plan, choice + i) for i, plan in enumerate(plans)]
@@ -62,6 +62,6 @@ class CrowdController:
         self.stances = FoundStances(model, [plan.stands for plan in plans], bodies)
 
     def __call__(self, frame: int, ground: Array) -> Controls:
-        """Controls (B, ...) of a frame; ground is where the characters are."""
+        """Controls (B, ...) of a frame; ground is not used."""
         row = min(frame, len(self.controls.phase) - 1)
         return self.stances.shown(self.controls.at(row), row)

@@ -1,4 +1,4 @@
-"""Chooses the recordings of a type that are shown, and the frames they are entered at (motion matching)."""
+"""Chooses which recordings of a type are shown and at which frames they are entered (motion matching)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from motionkit.features.reference import BEFORE_EVENT, event_begins
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind, MotionType, ReferenceClip
 
-# Clips, each with the frames that it may be entered at.
+# Clips, each with its possible entry frames.
 Entries = list[tuple[ReferenceClip, list[int]]]
 
 
@@ -25,46 +25,47 @@ Entries = list[tuple[ReferenceClip, list[int]]]
 class EntrySettings:
     """Where clips are entered; all numbers are chosen, by the motion of roll-outs."""
 
-    # Random entry frames of which the one most like the present pose is taken, at a change of type and within one. Few
-    # at a change: of many, the one most like a standing body is one where nothing happens.
+    # Random entry frames from which the one most like the present pose is taken, at a change of type and within a type.
+    # A change draws few, because among many a standing body would get a frame in which nothing happens.
     candidates: int = 24
     candidates_within: int = 200
-    suited: float = 2.0  # performances that begin at so many times the least cost, and 1, are as good
-    # Shares of all frames that an entry frame moves more, and less, than; and the share of the usual movement that a
-    # clip has to exceed somewhere to be entered.
+    suited: float = 2.0  # performances that cost up to 1 plus this times the least cost are equally good
+    # Quantiles of movement between which entry frames lie, and the share of the lower one that some frame of a clip
+    # must exceed.
     movement: tuple[float, float] = (0.4, 0.8)
     still: float = 0.2
-    seconds: float = 1.5  # of a clip that must follow the frame it is entered at
-    gait_seconds: float = 0.75  # the same of gaits and of standing: most runs are recorded for a second
-    going: float = 0.6  # share of a gait's usual speed below which, in the coming second, a clip brakes
-    # cm/s between strike or jump and body, beyond the nearest of all: a leap out of a run needs the run.
+    seconds: float = 1.5  # of the clip that must follow an entry frame
+    gait_seconds: float = 0.75  # the same for gaits and standing, because most runs are recorded for a second
+    going: float = 0.6  # share of a gait's usual speed; a clip brakes where its next second is slower
+    # Difference in speed (cm/s) between an entry of a strike or jump and the body, beyond the smallest one. A leap out
+    # of a run needs the run.
     other_speed: float = 60.0
-    played: float = 0.5  # a frame is not entered if a larger share of the seconds from it on has been played
-    few_seconds: float = 12.0  # of recordings of a type, where few are enough
+    played: float = 0.5  # largest share already played of the seconds after an entry frame
+    few_seconds: float = 12.0  # of recordings of a type that `few` keeps
 
 
 @dataclass(frozen=True)
 class MatchingSettings:
-    """When another frame that suits the trajectory better is gone over to; chosen: every change drags the feet."""
+    """When to jump to a frame that suits the trajectory better; chosen. Every jump drags the feet."""
 
     every: int = 20  # frames between two searches, and frames that must follow in a clip
-    clearly: float = 0.4  # share of the present cost that another frame has to stay below
+    clearly: float = 0.4  # share of the present cost that another frame must stay below
 
 
 ENTRY, MATCHING = EntrySettings(), MatchingSettings()
-# Multiples of the first number fill 0 to 1 most evenly; those of the others, nearly as well. They lead from draw to
-# draw, one for as many successive choices as draw evenly.
+# Multiples of GOLDEN, modulo 1, fill 0 to 1 most evenly; multiples of the STEPS do nearly as well. GOLDEN leads from
+# choice to choice, and one of the STEPS from draw to draw; SIBLINGS successive choices share a step.
 GOLDEN, STEPS = (math.sqrt(5.0) - 1.0) / 2.0, tuple(math.sqrt(n) % 1.0 for n in (2.0, 3.0, 7.0, 11.0))
 SIBLINGS = 32
 
 
 @dataclass(frozen=True)
 class GaitClip:
-    """Where a clip of a gait goes on.
+    """Entry frames and braking of a clip of a gait or of standing.
 
     Attributes:
-        entries: the frames it is entered at.
-        brakes: for each frame (L,) the next at which it brakes, or its length.
+        entries: possible entry frames.
+        brakes: (L,) for each frame, the next frame at which the clip brakes, or its length.
     """
 
     entries: list[int]
@@ -72,27 +73,27 @@ class GaitClip:
 
 
 class PlayedFrames:
-    """Which frames of which clips have been played."""
+    """Records which frames of which clips have been played."""
 
     def __init__(self, fps: float) -> None:
         self.fps = fps
         self._played: dict[ReferenceClip, Array] = {}
 
     def mark(self, clip: ReferenceClip, at: int, count: int) -> None:
-        """Take in that frames have been played."""
+        """Mark frames as played."""
         self._of(clip)[at : at + count] = True
 
     def forget(self, clips: Sequence[ReferenceClip]) -> None:
-        """All frames of some clips may be played again."""
+        """Mark all frames of some clips as not played."""
         for clip in clips:
             self._of(clip)[:] = False
 
     def any(self, clip: ReferenceClip) -> bool:
-        """Whether some of a clip has been played."""
+        """Whether any frame of a clip has been played."""
         return bool(self._of(clip).any())
 
     def after(self, clip: ReferenceClip) -> Array:
-        """Share of ENTRY.seconds from each frame (L,) on, or of what is left of the clip, that has been played."""
+        """For each frame (L,), the played share of the ENTRY.seconds after it, or of the rest of the clip."""
         frames = np.arange(len(clip))
         ends = np.minimum(frames + round(ENTRY.seconds * self.fps), len(clip))
         played = np.concatenate([[0], np.cumsum(self._of(clip))])
@@ -103,21 +104,20 @@ class PlayedFrames:
 
 
 class RecordingChoice:
-    """Chooses recordings for one character; the same choice chooses the same.
+    """Chooses recordings for one character; the same choice gives the same recordings.
 
-    A type that is one performance is played from its beginning, one recording of it after another. A clip of another
-    type is drawn, the more likely the more of it has not been played yet, and by successive choices evenly among all.
-    It is entered in the middle: some frames are drawn, for strikes and jumps shortly before one of them and about as
-    fast as the body goes, and the frame most like the present pose is taken. Nothing is played again before all has
-    been played. A character that stands keeps its stance: recordings are shown moved to it, so that they tell it how to
-    sway.
+    A performance plays from its beginning, one recording after another. For other types a clip is drawn; it is more
+    likely the more of it has not been played, and successive choices draw evenly. It is entered in the middle: some
+    frames are drawn, and the one most like the present pose is taken. For strikes and jumps, these frames come shortly
+    before one and at about the speed of the body. Nothing plays again before everything has played. A standing
+    character keeps its stance: recordings are moved to it, so that they only tell it how to sway.
     """
 
     def __init__(self, model: MotionModel, choice: int = 0, rests: bool = False, few: bool = False) -> None:
         """Begin with nothing played.
 
         Args:
-            rests: where a trajectory is asked for, frames that little movement follows may suit it, too.
+            rests: with a trajectory, also match frames with little movement after them.
             few: use few recordings of each type (few_clips).
         """
         self.model, self.choice, self.rests, self.few = model, choice, rests, few
@@ -129,18 +129,18 @@ class RecordingChoice:
         self._gait_clips: dict[ReferenceClip, GaitClip] = {}
 
     def stand(self, kind: str, stance: Array | None) -> None:
-        """Move the clips of standing to a stance (24,), to zero where it is not known yet."""
+        """Move the clips of standing to a stance (24,), or to zero if it is not known yet."""
         clips = self._type(kind).reference_clips
         self.stance = about_zero(clips) if stance is None else in_stance(clips, stance)
 
     def leave(self, kind: str) -> None:
-        """Another type comes: the stance is lost."""
+        """Forget the stance, because another type comes."""
         if self.stance:
             self.stance = ()
             self._indices.pop(kind, None)
 
     def clips(self, kind: str) -> tuple[ReferenceClip, ...]:
-        """The clips of a type, in the stance of a body that began by standing."""
+        """The clips of a type; those of standing are moved to the stance of the body, if it has one."""
         clips = self.stance or self._type(kind).reference_clips
         return few_clips(clips, self.model.fps) if self.few else clips
 
@@ -153,14 +153,14 @@ class RecordingChoice:
         speed: float | None = None,
         within: bool = False,
     ) -> tuple[ReferenceClip, int] | None:
-        """The clip and the frame that a type is entered at; None without recordings.
+        """Choose the clip and the frame at which a type is entered; None without recordings.
 
         Args:
-            near: (S, 24) embeddings of the present pose and of those STATE_FRAMES ago, if they are known.
-            behind: frames of a performance that have been shown already.
-            trajectory: (24,) the trajectory asked for, which the frame should suit.
-            speed: of the body over the ground in cm/s, if it is known.
-            within: the type goes on.
+            near: (S, 24) present state of the body, if known.
+            behind: frames of a performance that have been shown.
+            trajectory: (24,) requested trajectory, which the frame should match.
+            speed: speed of the body over the ground in cm/s, if known.
+            within: whether the type stays the same.
         """
         clips = self.clips(kind)
         if not clips:
@@ -175,7 +175,7 @@ class RecordingChoice:
         return self._drawn(self._as_fast(kind, self.entry_frames(kind, clips), speed), count, near)
 
     def better(self, kind: str, clip: ReferenceClip, at: int, trajectory: Array) -> tuple[ReferenceClip, int]:
-        """The clip and the frame that clearly suit a trajectory (24,) better than a frame of a clip, or that frame."""
+        """Find a clip and frame that match a trajectory (24,) clearly better than the given ones; else return these."""
         index = self._index(kind)
         stay = index.first[index.clips.index(clip)] + at
         number, found = index.nearest(
@@ -184,11 +184,11 @@ class RecordingChoice:
         return index.clips[number], found
 
     def brakes(self, kind: str, clip: ReferenceClip, at: int) -> int:
-        """The frame at which a gait's clip brakes after a frame, or its length."""
+        """The next frame at which a gait's clip brakes, or its length."""
         return int(self._gait_clip(kind, clip).brakes[min(at, len(clip) - 1)])
 
     def entry_frames(self, kind: str, clips: Sequence[ReferenceClip]) -> Entries:
-        """The frames at which clips that are no performances are entered, for each clip that has some."""
+        """Entry frames of clips of any type but performances, for each clip that has some."""
         if before := _before_events(clips):
             return before
         if not self.model.kind(kind).steered:
@@ -204,9 +204,9 @@ class RecordingChoice:
         return self._indices[kind]
 
     def _performance(self, clips: Sequence[ReferenceClip], near: Array | None, behind: int) -> ReferenceClip:
-        """One of the recorded performances that go on about as well as any from the present pose, each in turn.
+        """Choose, in turn, one of the recorded performances that continue the present pose about equally well.
 
-        A body that is shown another performance than the one it has begun, to the other side, would flip over.
+        If the body has begun one to the left, a performance to the right would make it flip over.
         """
         suited = list(clips)
         if near is not None:
@@ -220,7 +220,7 @@ class RecordingChoice:
         return (fresh or suited)[self.choice % len(fresh or suited)]
 
     def _drawn(self, entries: Entries, count: int, near: Array | None) -> tuple[ReferenceClip, int]:
-        """Of some random entry frames of what has not been played the one most like the present pose."""
+        """Draw some entry frames that have not been played, and take the one most like the present pose."""
         found = self._fresh(entries)
         self.draws += 1
         clip, frames = found[drawn_evenly([len(frames) for _, frames in found], self.choice, self.draws)]
@@ -231,9 +231,9 @@ class RecordingChoice:
         return clip, frames[int(np.square(states - near).sum(axis=(1, 2)).argmin())]
 
     def _as_fast(self, kind: str, found: Entries, speed: float | None) -> Entries:
-        """The entry frames at which strikes or jumps go about as fast as the body (cm/s), for each clip that has some.
+        """Keep the entry frames of strikes or jumps at about the speed (cm/s) of the body.
 
-        Other movements have time to change their speed.
+        Other movements have time to change their speed, so all their entry frames stay.
         """
         if speed is None or not self.model.kind(kind).phased:
             return found
@@ -246,7 +246,7 @@ class RecordingChoice:
         return [each for each in kept if each[1]]
 
     def _fresh(self, found: Entries) -> Entries:
-        """The entry frames before what has not been played, at least in part; all of them again after the last."""
+        """Keep the entry frames whose continuation has mostly not been played; if none is left, start over with all."""
         played = [self.played.after(clip) for clip, _ in found]
         fresh = [
             (clip, [at for at in frames if after[at] <= ENTRY.played])
@@ -258,9 +258,9 @@ class RecordingChoice:
         return found
 
     def _gait_clip(self, kind: str, clip: ReferenceClip) -> GaitClip:
-        """Where a clip of a gait or of standing is entered, and where it brakes: recorded runs end with a stop.
+        """Entry frames of a clip of a gait or of standing, and where it brakes: recorded runs end with a stop.
 
-        A clip that is slow all along is none that brakes.
+        A clip that is slow throughout does not brake.
         """
         if clip not in self._gait_clips:
             fps, gait, length = self.model.fps, self._type(kind).gait, len(clip)
@@ -278,29 +278,29 @@ class RecordingChoice:
 
 
 def few_clips(clips: tuple[ReferenceClip, ...], fps: float) -> tuple[ReferenceClip, ...]:
-    """The first clips of a type that last ENTRY.few_seconds together, and one at least: enough for first steps."""
+    """The first clips of a type, at most ENTRY.few_seconds long together but at least one; enough for first steps."""
     ends = np.cumsum([len(clip) for clip in clips])
     return clips[: max(1, int(np.searchsorted(ends, ENTRY.few_seconds * fps, side="right")))]
 
 
 def drawn_evenly(sizes: Sequence[int], choice: int, number: int) -> int:
-    """Which of some sizes is drawn, the larger the more often, and by successive choices evenly among all.
+    """Draw an index with a probability in proportion to its size; successive choices draw evenly.
 
-    Random draws would show half of thirty clips by twenty choices.
+    Twenty choices with random draws would show only half of thirty clips.
 
     Args:
         choice: a whole number of at least 0.
-        number: of the draw by this choice, from 1 on.
+        number: number of the draw for this choice, from 1 on.
     """
     share = (choice * GOLDEN + number * STEPS[choice // SIBLINGS % len(STEPS)]) % 1.0
     return int(np.searchsorted(np.cumsum(sizes), share * sum(sizes), side="right"))
 
 
 def frames_behind(model: MotionModel, kind: str, near: Array) -> int:
-    """Frames of a performance of a type that a body has shown already; 0 where it may as well begin one.
+    """Frames of a performance that a body has shown; 0 if its state also suits the beginning of one.
 
     Args:
-        near: (S, 24) pose embeddings of its last frames (last_poses).
+        near: (S, 24) state of the body (last_poses).
     """
     if model.kind(kind) is not MotionKind.PERFORMANCE:
         return 0
@@ -320,10 +320,10 @@ def _before_events(clips: Sequence[ReferenceClip]) -> Entries:
 
 
 def _lively(clips: Sequence[ReferenceClip], least: int) -> Entries:
-    """Frames that at least the usual movement follows, though not the liveliest, for each clip that has some.
+    """Frames with movement between the quantiles ENTRY.movement of all clips, for each clip that has some.
 
-    A standing body is most like a standing one, in any type: the reference would keep it standing. Of a clip that is
-    livelier or calmer than all that, the frames that are usual in it.
+    In any type, a standing body is most like a standing frame, and that reference would keep it standing. A clip that
+    is livelier or calmer throughout gives the frames between its own quantiles.
 
     Args:
         least: frames that must follow.
@@ -342,8 +342,8 @@ def _lively(clips: Sequence[ReferenceClip], least: int) -> Entries:
 
 
 def _between(movement: Array, of_all: Array) -> list[int]:
-    """The frames of a movement (L,) that lie between the shares ENTRY.movement of all."""
-    # The methods leave at least one frame even of two.
+    """Frames whose movement (L,) lies between the quantiles ENTRY.movement of all movements."""
+    # These quantile methods keep at least one frame even of two.
     usual = np.quantile(of_all, ENTRY.movement[0], method="lower")
     lively = np.quantile(of_all, ENTRY.movement[1], method="higher")
     return np.flatnonzero((movement >= usual) & (movement <= lively)).tolist()

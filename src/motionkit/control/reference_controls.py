@@ -1,4 +1,4 @@
-"""What a reference player hands on: the controls of frames of a clip, of a pause, or of a type without recordings."""
+"""Controls for a reference player: of frames of a clip, of a pause, or of a type without recordings."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from motionkit.features.reference import PAUSE
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind, ReferenceClip, Rhythm
 
-# Share of the recorded trajectory in the one shown, where one is asked for: recorded feet stand where the recording
-# went, and the root-slip correction (inference/slip_correction.py) follows the feet. Chosen.
+# Share of the recorded trajectory in a requested one; chosen. Recorded feet stand along the recorded trajectory, and
+# the root-slip correction (inference/slip_correction.py) follows the feet.
 OWN_SHARE = 0.5
 
 
 class ReferenceControls:
-    """Makes controls of types alone, with the references, phases and trajectories of what is played."""
+    """Makes controls of one type with reference poses, phases and trajectories of the playing recording."""
 
     def __init__(self, model: MotionModel, own_share: float = OWN_SHARE) -> None:
-        """own_share: the share of the recorded trajectory in one that is asked for."""
+        """Take own_share, the share of the recorded trajectory in a requested one."""
         self.model, self.own_share = model, own_share
 
     def of_clip(
@@ -33,10 +33,11 @@ class ReferenceControls:
         left: Crossfade | None,
         trajectories: Array | None,
     ) -> Controls:
-        """Controls (T, ...) at frames (T,) of a clip, into which another may fade.
+        """Controls (T, ...) at frames (T,) of a clip.
 
         Args:
-            trajectories: (T, 24) the trajectories asked for, if any.
+            left: cross-fade from the clip before, if any.
+            trajectories: (T, 24) requested trajectories, if any.
         """
         reference = recorded_poses(clip, frames)
         if left is not None:
@@ -46,14 +47,14 @@ class ReferenceControls:
         return asked if trajectory is None else replace(asked, trajectory=trajectory).with_mask(1.0)
 
     def of_pause(self, kind: str, reference: Array, own: Array, trajectories: Array | None) -> Controls:
-        """Controls (T, ...) of a pause with references (T, 72), recorded trajectories and those asked for (T, 24)."""
+        """Controls (T, ...) of a pause with reference poses (T, 72), recorded and requested trajectories (T, 24)."""
         asked = self._shown(kind, reference)
         if trajectories is None and self.model.kind(kind) is not MotionKind.PERFORMANCE:
             return asked
         return replace(asked, trajectory=own if trajectories is None else trajectories).with_mask(1.0)
 
     def of_clock(self, kind: str, at: int, count: int, trajectories: Array | None) -> Controls:
-        """Controls (count, ...) of a type without recordings from a frame on: a clock counts the phase."""
+        """Controls (count, ...) of a type without recordings, from frame `at` on, with the phase from a clock."""
         rhythm = rhythm_of(self.model, kind)
         phase = np.full(count, -1.0, np.float32) if rhythm is None else rhythm.phases(at, count)
         free = replace(self._of_type(kind, count), phase=phase)
@@ -63,7 +64,7 @@ class ReferenceControls:
         return free if trajectories is None else replace(free, trajectory=trajectories).with_mask(1.0)
 
     def _shown(self, kind: str, reference: Array) -> Controls:
-        """Controls (T, ...) of a type with references (T, 72), at the type's gain; 0 for models without references."""
+        """Controls (T, ...) of a type with reference poses (T, 72), at the type's gain; 0 if the model uses none."""
         free = self._of_type(kind, len(reference))
         gain = self.model.types[kind].preset.reference_gain if self.model.uses_references else 0.0
         return replace(free, reference=reference, reference_gain=free.reference_gain + np.float32(gain))
@@ -80,14 +81,13 @@ class ReferenceControls:
         left: Crossfade | None,
         trajectories: Array | None,
     ) -> Array | None:
-        """The trajectories (T, 24) to show at frames of a clip, None for none."""
+        """Trajectories (T, 24) at frames of a clip; None for none."""
         gait = self.model.kind(kind) is MotionKind.GAIT and self.model.uses_references
         if trajectories is None and not (clip.performed or gait):
             return None
         if trajectories is not None and not self.own_share:
             return trajectories
-        # A cartwheel to the left is as good as one to the right, a slow walk as a fast one; the recorded trajectory
-        # decides.
+        # Without a request, the recorded trajectory decides on the side of a cartwheel or the speed of a walk.
         own = recorded_trajectory(clip, frames)
         if trajectories is not None:
             return lerp(trajectories, own, self.own_share)
@@ -95,6 +95,6 @@ class ReferenceControls:
 
 
 def rhythm_of(model: MotionModel, kind: str) -> Rhythm | None:
-    """The rhythm of performances, strikes or jumps of a type without recordings; None for other types."""
+    """The rhythm of performances, strikes or jumps without recordings; None for types without a phase."""
     length = round(model.phase_seconds(kind) * model.fps)
     return (model.types[kind].rhythm or Rhythm(length, length + PAUSE)) if length else None

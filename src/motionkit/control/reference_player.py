@@ -1,4 +1,4 @@
-"""Plays reference clips of a type: the source of a character's reference poses (features/reference.py)."""
+"""Plays reference clips of a type, the source of a character's reference poses (features/reference.py)."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from motionkit.models.motion_type import MotionKind, ReferenceClip
 
 
 class ReferencePlayer:
-    """Plays one reference clip of a type after another for one character; the same choice plays the same.
+    """Plays one reference clip of a type after another for one character; the same choice plays the same clips.
 
-    RecordingChoice picks the clips, ReferenceControls makes controls of them. Gaits go where their recordings went;
-    where a trajectory is asked for, the player looks for frames that go that way.
+    RecordingChoice picks the clips, and ReferenceControls makes controls of them. Without a requested trajectory, gaits
+    follow that of their recording. With one, the player searches for frames that match it.
     """
 
     def __init__(
@@ -30,10 +30,10 @@ class ReferencePlayer:
         rests: bool = False,
         few: bool = False,
     ) -> None:
-        """Start with no type.
+        """Start without a type.
 
         Args:
-            own_share: the share of the recorded trajectory in one that is asked for.
+            own_share: the share of the recorded trajectory in a requested one.
             rests, few: as in RecordingChoice.
         """
         self.model = model
@@ -42,8 +42,8 @@ class ReferencePlayer:
         self.kind = ""
         self.clip: ReferenceClip | None = None
         self.at = 0
-        self.left: Crossfade | None = None  # the clip before
-        self.pause: Pause | None = None  # that is being shown
+        self.left: Crossfade | None = None  # cross-fade from the clip before
+        self.pause: Pause | None = None  # the present pause
         self._since = 0  # frames since the last search
 
     def begin(
@@ -59,12 +59,12 @@ class ReferencePlayer:
         """Change to a type.
 
         Args:
-            near: (S, 24) embeddings of the present pose and of those STATE_FRAMES ago; those played by default.
-            behind: frames of a performance that have been shown already.
-            trajectory: (24,) the trajectory asked for, which the frame entered should suit.
-            paused: lead to the beginning of a performance over a pause, from the end of another one (ends).
-            speed: of the body over the ground in cm/s; that of the recording played by default.
-            settles: the type is one of standing, and the stance is not known yet: recordings are moved to zero.
+            near: (S, 24) present state of the body; by default that of the present recording.
+            behind: frames of a performance that have been shown.
+            trajectory: (24,) requested trajectory, which the entry frame should match.
+            paused: insert a pause from the end of a performance (ends) to the beginning of this one.
+            speed: speed of the body over the ground in cm/s; by default that of the present recording.
+            settles: the body comes to a stand, and its stance is not known yet: recordings are moved to zero.
         """
         if near is None:
             near = self._present()
@@ -86,7 +86,7 @@ class ReferencePlayer:
             self.at = behind
             return
         self.clip, self.at = found
-        # A performance begins without a blend: a handspring is over the hands before the blend would be.
+        # A performance begins without a blend: a handspring is on the hands before a blend would end.
         if left is not None and not self.clip.performed:
             self.left = Crossfade(left, left_at, self.clip, self.at, before)
         elif left is not None and paused:
@@ -94,22 +94,22 @@ class ReferencePlayer:
 
     @property
     def ends(self) -> bool:
-        """Whether a performance has been played to its end."""
+        """Whether a performance has played to its end."""
         return self.clip is not None and self.clip.performed and self.at >= len(self.clip)
 
     @property
     def speed(self) -> float | None:
-        """Speed in cm/s with which the recording that is played has gone ahead; None where nothing has been played."""
+        """Forward speed in cm/s of the present recording at its last played frame; None if none has been played."""
         if self.clip is None or not self.at:
             return None
         return float(forward_speeds(self.clip.ground[: self.at], self.model.fps)[-1])
 
     def forget(self) -> None:
-        """Forget the recording that is played: the body has gone its own way since, and the next fades in from none."""
+        """Drop the present recording, so that the next one begins without a cross-fade."""
         self.kind, self.clip, self.at, self.left, self.pause = "", None, 0, None, None
 
     def event_frames(self) -> int:
-        """Frames from here to the end of the next strike or jump, zero if none comes."""
+        """Frames from here to the end of the next strike or jump; 0 if none comes."""
         if self.clip is None:
             rhythm = rhythm_of(self.model, self.kind)
             return 0 if rhythm is None else round(rhythm.frames)
@@ -120,10 +120,10 @@ class ReferencePlayer:
         return ahead.index(False, first) if False in ahead[first:] else len(ahead)
 
     def play(self, frames: int, trajectories: Array | None = None) -> Controls:
-        """Controls (frames, ...) of the coming frames; at the end of a clip another one is entered.
+        """Controls (frames, ...) of the next frames; at the end of a clip the player enters another one.
 
         Args:
-            trajectories: (frames, 24) the trajectories asked for, if any.
+            trajectories: (frames, 24) requested trajectories, if any.
         """
         parts: list[Controls] = []
         played = 0
@@ -141,7 +141,7 @@ class ReferencePlayer:
         return Controls.concatenated(parts)
 
     def _end(self, free: bool) -> int:
-        """The frame at which the clip is left: its end, or where a gait brakes that goes free; 0 without a clip."""
+        """The frame at which to leave the clip: its end, or where a free gait brakes; 0 without a clip."""
         if self.clip is None:
             return 0
         if not (free and self.model.kind(self.kind) is MotionKind.GAIT):
@@ -149,7 +149,7 @@ class ReferencePlayer:
         return self.recordings.brakes(self.kind, self.clip, self.at)
 
     def _go_on(self, trajectory: Array | None) -> None:
-        """Enter the next clip at the end of one; after a pause where there is no time for a blend."""
+        """Enter the next clip, after a pause if there is no time for a blend."""
         left = self.clip
         assert left is not None
         speed = None if trajectory is None else asked_speed(trajectory, self.model.fps)
@@ -160,7 +160,7 @@ class ReferencePlayer:
             self.pause, self.left = Pause(left, self.clip, self.at), None
 
     def _reconsider(self, trajectory: Array) -> None:
-        """Jump to a frame that suits the trajectory clearly better; types of strikes and jumps play on to theirs."""
+        """Jump to a frame that matches the trajectory clearly better; types with a phase never jump."""
         self._since = 0
         clip = self.clip
         if clip is None or self.model.kind(self.kind).phased:
@@ -171,7 +171,7 @@ class ReferencePlayer:
             self.clip, self.at = found
 
     def _stretch(self, count: int, trajectories: Array | None) -> Controls:
-        """Controls of at most so many frames of the present clip, up to its end or to the next search."""
+        """Controls of up to `count` frames of the present clip, until its end or the next search."""
         if self.clip is not None:
             count = min(count, self._end(trajectories is None) - self.at)
         if trajectories is not None:
@@ -188,7 +188,7 @@ class ReferencePlayer:
         return asked
 
     def _paused(self, pause: Pause, count: int, trajectories: Array | None) -> Controls:
-        """Controls of at most so many frames of the pause, which then may end."""
+        """Controls of up to `count` frames of the pause; clears the pause at its end."""
         reference, own, ended = pause.next(count)
         if ended:
             self.pause = None

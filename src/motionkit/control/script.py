@@ -1,4 +1,4 @@
-"""What a user asks for: motion types one after another, each for a time."""
+"""Scripts: motion types one after another, each for some seconds."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class TypePart:
 def parse_types(
     text: str, seconds: float | None = None, usual: Callable[[str], float] | None = None
 ) -> list[TypePart]:
-    """Parts from "running,cartwheel" or "running:4,cartwheel:3".
+    """Parse "running,cartwheel" or "running:4,cartwheel:3" into parts.
 
     Args:
-        seconds: the whole length, shared by the parts that name none.
-        usual: the usual seconds of a type, 0 for any; without seconds, a part that names none takes so long, or
-            DEFAULT_SECONDS.
+        seconds: total duration; parts without a time share what the others leave.
+        usual: returns the usual seconds of a type, or 0 for none. Without seconds, a part without a time takes these,
+            or DEFAULT_SECONDS.
 
     Raises:
-        ControlError: for a part without a type, or a time that is no positive number.
+        ControlError: for a part without a type, or a time that is not a positive number.
     """
     words = [nfc(word.strip()) for word in text.split(",")]
     if not any(words):
@@ -49,7 +49,7 @@ def parse_types(
         if share <= 0:
             raise ControlError(f"the parts alone take {given:g} s, more than the {seconds:g} s asked for")
     elif seconds is not None:
-        # Every part says its time: stretch them to the whole.
+        # Every part has a time: stretch all to the total.
         return [TypePart(name, time * seconds / given) for name, time in timed if time is not None]
     else:
         natural = {name: usual(name) if usual else 0.0 for name in free}

@@ -1,4 +1,4 @@
-"""Speeds along a path: what is asked for, within what recordings of the type show."""
+"""Speeds along a path: the requested ones, within the range that recordings of the type show."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from motionkit.models.model import MotionModel
 class ProfileSettings:
     """Speeds along a path. All numbers but the acceleration are chosen."""
 
-    default: float = WALK_SPEED  # cm/s, for a type the model has no speed of
-    slowest: float = 20.0  # cm/s of a part at least
+    default: float = WALK_SPEED  # cm/s, for a type without a known speed
+    slowest: float = 20.0  # cm/s; least speed of a part
     creep: float = 10.0  # cm/s at a stop
-    acceleration: float = 220.0  # cm/s^2 at most; 98 % of the frames of recorded runs brake less
-    sharp: float = -0.8  # cosine between the directions before and after a turn that bodies slow down for
+    acceleration: float = 220.0  # cm/s^2; 98 % of the frames of recorded runs brake less
+    sharp: float = -0.8  # cosine between the directions before and after a turn that needs slowing down
     turn_speed: float = 30.0  # cm/s at such a turn; faster bodies leap around it
-    beside_turn: int = 3  # points of the path to both sides that tell the directions
+    beside_turn: int = 3  # points of the path to both sides that give the directions
     too_slow: float = 0.99  # share of the slowest recorded speed of a run, below which a body walks
-    short: float = 0.5  # share of its time in which a performance may not be shown
+    short: float = 0.5  # share of a performance's duration below which a part may be too short for it
 
 
 PROFILE = ProfileSettings()
-# Of the recorded frames of a motion's types are below its limit; the others are outliers, and peaks that held feet add.
+# Quantile of recorded acceleration that limits a motion; frames above it are outliers and peaks from locked feet.
 RECORDED_SHARE = 0.997
-USUAL = 3.5  # m/s^2; any body accelerates so hard where it begins to do something else
+USUAL = 3.5  # m/s^2; least limit, because any body accelerates this hard when it changes its movement
 
 
 def asked_speeds(model: MotionModel, path: Path2D) -> Array:
-    """Speed (N,) in cm/s that is asked for on each part, else what is usual for its type."""
+    """Requested speed (N,) in cm/s of each part, or the usual speed of its type."""
     speeds = []
     for part in path.parts:
         gait = model.types[part.type].gait if part.type in model.types else None
@@ -47,9 +47,9 @@ def asked_speeds(model: MotionModel, path: Path2D) -> Array:
 
 
 def part_speeds(model: MotionModel, path: Path2D) -> Array:
-    """Speed (N,) in cm/s of each part: for gaits within their speed range.
+    """Speed (N,) in cm/s of each part; the requested speed of a gait is limited to its recorded range.
 
-    Beyond it a network glides: feet hardly leave the ground, or hardly touch it.
+    Outside this range a body glides: its feet hardly leave the ground, or hardly touch it.
     """
     speeds = asked_speeds(model, path)
     for number, part in enumerate(path.parts):
@@ -60,7 +60,7 @@ def part_speeds(model: MotionModel, path: Path2D) -> Array:
 
 
 def other_speeds(model: MotionModel, path: Path2D) -> list[str]:
-    """A line for each part that is gone along at another speed than asked for."""
+    """A line for each part whose speed differs from the requested one."""
     return [
         f"part {number}: {kind} goes at {gone / METRE:.2f} m/s instead of {asked / METRE:g}: {_recorded(model, kind)}"
         for number, kind, asked, gone in _changed(model, path)
@@ -68,7 +68,7 @@ def other_speeds(model: MotionModel, path: Path2D) -> list[str]:
 
 
 def short_performances(model: MotionModel, path: Path2D) -> list[str]:
-    """A line for each part that is gone along in less than half the time that a flip, jump or strike takes."""
+    """A line for each part that takes less than half the time of its flip, jump or strike."""
     lines = []
     speeds, lengths = part_speeds(model, path), np.bincount(path.part, minlength=len(path.parts)) * SPACING
     for number, (part, speed, length) in enumerate(zip(path.parts, speeds, lengths, strict=True), 1):
@@ -82,7 +82,7 @@ def short_performances(model: MotionModel, path: Path2D) -> list[str]:
 
 
 def check_speeds(model: MotionModel, path: Path2D) -> None:
-    """Refuse speeds that no recording comes near; raises ControlError for the first."""
+    """Raise ControlError for the first part whose requested speed is outside its recorded range."""
     for number, kind, asked, _ in _changed(model, path):
         raise ControlError(
             f"part {number}: expected a speed at which {kind} looks right, {_recorded(model, kind)}, "
@@ -91,7 +91,7 @@ def check_speeds(model: MotionModel, path: Path2D) -> None:
 
 
 def _changed(model: MotionModel, path: Path2D) -> Iterator[tuple[int, str, float, float]]:
-    """Number, type, asked speed and speed gone in cm/s of each part where these differ."""
+    """Number, type, requested and actual speed (cm/s) of each part where the two differ."""
     speeds = asked_speeds(model, path).tolist(), part_speeds(model, path).tolist()
     for number, (part, asked, gone) in enumerate(zip(path.parts, *speeds, strict=True), 1):
         if asked != gone:
@@ -105,16 +105,16 @@ def _recorded(model: MotionModel, kind: str) -> str:
 
 
 def speed_profile(model: MotionModel, path: Path2D) -> Array:
-    """Speed (N,) in cm/s at each point of the path, which changes no faster than bodies brake and start, to each stop.
+    """Speed (N,) in cm/s at each point of the path; it changes by at most PROFILE.acceleration at stops and turns.
 
-    The beginning is as fast as its part: start poses are in motion.
+    The path begins at full speed, because start poses are in motion.
     """
     speeds = part_speeds(model, path)[path.part].astype(np.float64)
     sharp = _sharp_turns(path)
     speeds[sharp] = np.minimum(speeds[sharp], PROFILE.turn_speed)
     for place, _ in path.stops:
         speeds[path.nearest(place)] = PROFILE.creep
-    # The square of the speed changes evenly along the way: no point's is more than so much above another's.
+    # At constant acceleration the square of the speed is linear in arc length, so its slope is limited both ways.
     slope = 2.0 * PROFILE.acceleration * SPACING * np.arange(len(speeds))
     squares = np.minimum.accumulate(speeds * speeds - slope) + slope
     squares = np.minimum.accumulate((squares + slope)[::-1])[::-1] - slope
@@ -125,7 +125,7 @@ def shown_types(model: MotionModel, path: Path2D, speeds: Array) -> Array:
     """The type id (N,) at each point: a run becomes a walk where the path is slower than any recorded run.
 
     Args:
-        speeds: (N,) speed_profile. It is slow around stops and sharp turns.
+        speeds: (N,) from speed_profile.
     """
     shown = np.array([model.type_id(part.type) for part in path.parts])[path.part]
     walk = steered_type(model, (0.0, WALK_SPEED), 0.0)
@@ -147,7 +147,7 @@ def _sharp_turns(path: Path2D) -> Array:
 
 
 def acceleration_limit(model: MotionModel, kinds: Iterable[str]) -> float | None:
-    """Acceleration over the ground in m/s^2 that recordings of some types keep below; None without recordings."""
+    """Limit of the acceleration over the ground in m/s^2, from recordings of some types; None without recordings."""
     shortest = 2 * round(PACE_SECONDS * model.fps)
     clips = [clip for kind in dict.fromkeys(kinds) for clip in model.types[kind].reference_clips]
     found = [

@@ -1,6 +1,6 @@
-"""A body that comes to a stand finds a stance of its own; the recordings that it is shown then are moved to that.
+"""Standing: a body that stops finds its own stance, and the recordings of standing are moved to it.
 
-Shown a recorded stance while it still walks, it would pull its feet there over the ground instead of stepping.
+If it saw a recorded stance while it still walks, it would drag its feet there instead of stepping.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from motionkit.control.momentum import carried_over
 from motionkit.features.control import Controls
 from motionkit.models.motion_type import ReferenceClip
 
-# Frames after which a body that ran, walked or danced stands: no recording is shown until then.
-SETTLING = 100
-# cm/s from which on a body that is to stand is braked, at so many cm/s^2; slower ones stop by themselves in two steps.
+SETTLING = 100  # frames without a recording, until a body that ran, walked or danced stands
+# Speed (cm/s) above which a trajectory brakes the body, and its deceleration (cm/s^2). Slower bodies stop by themselves
+# in two steps.
 BRAKED, BRAKING = 200.0, 200.0
 
 
 def in_stance(clips: Sequence[ReferenceClip], stance: Array) -> tuple[ReferenceClip, ...]:
-    """Clips of standing still with their mean poses moved to a stance (24,); none if it is unlike all that they show.
+    """Move the mean poses of clips of standing to a stance (24,); returns no clips if the stance is unlike all of them.
 
-    A standing body that is shown one recorded stance after another takes none of them, but their mean.
+    If a standing body saw one recorded stance after another, it would stand in their mean.
     """
     if not clips or not like_recorded(clips, stance):
         return ()
@@ -32,7 +32,7 @@ def in_stance(clips: Sequence[ReferenceClip], stance: Array) -> tuple[ReferenceC
 
 
 def about_zero(clips: Sequence[ReferenceClip]) -> tuple[ReferenceClip, ...]:
-    """Clips of standing still with their mean poses moved to zero, for a stance that is not known yet."""
+    """Move the mean poses of clips of standing to zero, for a stance that is not known yet."""
     return tuple(_moved(clip, np.float32(0.0)) for clip in clips)
 
 
@@ -41,17 +41,17 @@ def _moved(clip: ReferenceClip, stance: Array | np.float32) -> ReferenceClip:
 
 
 def like_recorded(clips: Sequence[ReferenceClip], stance: Array) -> bool:
-    """Whether a stance (24,) is no further from the mean pose of some clips than the furthest of theirs."""
+    """Whether a stance (24,) is at most as far from the mean pose of some clips as their furthest pose."""
     poses = np.concatenate([clip.poses for clip in clips])
     usual = poses.mean(axis=0)
     return bool(np.linalg.norm(stance - usual) <= np.linalg.norm(poses - usual, axis=1).max())
 
 
 def settling(controls: Controls, before: float | None, fps: float) -> Controls:
-    """The controls (T, ...) of standing, without its recordings while the body comes to a stand.
+    """Remove the reference poses from the first SETTLING frames of controls (T, ...) of standing.
 
     Args:
-        before: speed of the body in cm/s, if it is known.
+        before: speed of the body in cm/s, if known.
     """
     if before is not None and before > BRAKED:
         still = np.zeros((len(controls.phase), 3), np.float32)

@@ -1,8 +1,8 @@
 """Steering: the trajectory of the coming second for a wished velocity and facing, and the gait that suits them.
 
-A path says where the root will be; a held key says only which velocity is wished for now. Velocity and facing therefore
-go over to what is wished as a critically damped spring does: quick at first, without overshoot. Plain floats, since
-this runs for every character at every frame.
+A wish gives only a velocity, and no future places as a path does. So velocity and facing approach the wish like
+critically damped springs: quickly at first and without overshoot. The code uses plain floats, because it runs for every
+character in every frame.
 """
 
 from __future__ import annotations
@@ -17,20 +17,18 @@ from motionkit.models.motion_type import MotionKind
 
 Pair = tuple[float, float]
 STANDS_BELOW = 15.0  # cm/s; below this speed the character stands; chosen
-GOES_FROM = 25.0  # cm/s; from this speed on it goes, where the model has a gait; chosen
+GOES_FROM = 25.0  # cm/s; from this speed on only gaits are chosen, if the model has one; chosen
 WALK_SPEED = 130.0  # cm/s of a usual walk; measured on CMU motion
-NEUTRAL_SECONDS = 0.5  # of a neutral type before a command; chosen
+NEUTRAL_SECONDS = 0.5  # duration of the neutral type before a command; chosen
 
 
 @dataclass(frozen=True)
 class GaitChoice:
     """How a gait is chosen for a wished velocity and facing; all numbers are chosen."""
 
-    turn_cost: float = 3.0  # cost of a radian between wished and usual facing, in square roots of cm/s
-    backwards_share: float = (
-        0.2  # share of the usual facing that counts besides: sideways is nearer to forwards
-    )
-    forwards: float = math.pi / 4  # radians between facing and direction up to which a gait goes forwards
+    turn_cost: float = 3.0  # cost per radian between wished and usual facing, in square roots of cm/s
+    backwards_share: float = 0.2  # extra cost per radian of the usual facing; prefers forward gaits
+    forwards: float = math.pi / 4  # largest angle between facing and direction of a forward gait
 
 
 @dataclass(frozen=True)
@@ -38,14 +36,14 @@ class SteeringOptions:
     """How a wished velocity and facing turn into the coming second; all numbers are chosen.
 
     Attributes:
-        halflife: seconds in which half of the change to a wished velocity is made.
+        halflife: seconds in which the velocity makes half of a change.
         turn_halflife: the same for the facing.
-        anchor_halflife: the same for the way back to where a standing body stopped.
-        own_share: how far each frame draws the spring towards what the body really does; 0 never looks,
-            1 starts every frame from the present velocity, which a sluggish body then keeps.
-        smoothing: share of a frame in the measured velocity: hips sway with every step.
-        settled_within: share of the wished speed; feet hold the root of a body whose speed is so near to it.
-        leave_anchor: cm; a standing body that was carried so far away stays there instead of going back.
+        anchor_halflife: the same for the return to where a standing body stopped.
+        own_share: share by which each frame moves the spring towards the measured movement. With 0 the spring ignores
+            the body. With 1 it starts from the present velocity, and a slow body stays slow.
+        smoothing: share of each frame in the measured velocity, because hips sway with every step.
+        settled_within: lack of speed, as a share of the wish, at which the root-slip correction fades to 0.
+        leave_anchor: cm; a standing body that is moved further stays there instead of returning.
     """
 
     halflife: float = 0.1
@@ -61,41 +59,41 @@ GAIT_CHOICE = GaitChoice()
 
 
 def spring_rate(halflife: float) -> float:
-    """The rate y (1/s) of a critically damped spring that makes half its way in halflife seconds.
+    """The rate y (1/s) of a critically damped spring that covers half of its distance in halflife seconds.
 
-    What remains is (1 + y t) exp(-y t), a half at y t = 1.678.
+    The remaining share is (1 + y t) exp(-y t), which is a half at y t = 1.678.
     """
     return 1.678347 / max(halflife, 1e-3)
 
 
 def spring(away: float, velocity: float, y: float, t: float) -> Pair:
-    """Distance from the goal, and velocity, t seconds on of a critically damped spring of rate y."""
+    """Distance from the goal, and velocity, of a critically damped spring of rate y after t seconds."""
     push = velocity + away * y
     fade = math.exp(-y * t)
     return fade * (away + push * t), fade * (velocity - y * push * t)
 
 
 def spring_travel(away: float, velocity: float, y: float, t: float) -> float:
-    """The integral over t seconds of the distance from the goal of such a spring."""
+    """The integral over t seconds of such a spring's distance from the goal."""
     push = velocity + away * y
     fade = math.exp(-y * t)
     return (away * (1.0 - fade) + push * ((1.0 - fade) / y - t * fade)) / y
 
 
 def nearest_turn(angle: float) -> float:
-    """The same angle between -pi and pi."""
+    """An angle wrapped to -pi to pi."""
     return math.remainder(angle, 2.0 * math.pi)
 
 
 def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> str:
-    """The steered type for a wished velocity (x, z in cm/s) and facing (radians, None for any).
+    """Choose the steered type for a wished velocity (x, z in cm/s) and facing (radians, None for any).
 
-    Its usual speed is nearest (in square roots, so that slow types have narrow bands) and its body faces the
-    direction of motion as wished. A model without steered types chooses among all that have no phase.
+    The choice minimises the difference in speed and in facing. Speeds count as square roots, so that slow types have
+    narrow bands. A model without steered types chooses among the types without a phase.
     """
     known = [name for name in model.types if model.kind(name).steered]
     if math.hypot(*velocity) >= GOES_FROM:
-        # Between the speeds of standing and going no body glides along.
+        # A standing body would glide at this speed.
         known = [name for name in known if model.kind(name) is MotionKind.GAIT] or known
     names = known or [name for name in model.types if not model.kind(name).phased] or list(model.types)
     speed, direction = math.hypot(*velocity), math.atan2(*velocity)
@@ -115,13 +113,13 @@ def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> st
 
 @dataclass(frozen=True)
 class Gaits:
-    """A model's types of the usual ways to stand and go, found from their motion; None where it has none.
+    """The usual types to stand, walk and run in a model, found from their motion; None where it has none.
 
     Attributes:
         stand: standing still.
-        walk: forwards at about WALK_SPEED.
-        run: the fastest of the runs forwards.
-        back: backwards.
+        walk: walking forwards at about WALK_SPEED.
+        run: the fastest run forwards.
+        back: moving backwards.
     """
 
     stand: str | None
@@ -131,7 +129,7 @@ class Gaits:
 
 
 def usual_gaits(model: MotionModel) -> Gaits:
-    """The types of a model that stand, walk, run and go backwards, whatever they are called."""
+    """Find the types of a model that stand, walk, run and move backwards, whatever their names."""
     found = {name: known.gait for name, known in model.types.items() if known.kind.steered and known.gait}
     stands = [name for name in found if model.kind(name) is MotionKind.STANCE]
     turned = {name: abs(nearest_turn(gait.facing)) for name, gait in found.items() if name not in stands}
@@ -147,23 +145,23 @@ def usual_gaits(model: MotionModel) -> Gaits:
 
 
 def walking_type(model: MotionModel) -> str:
-    """The type that a path is walked with where none is asked for: a walk, else whatever goes at about its speed."""
+    """The default type on a path: a walk, else the steered type for a velocity of WALK_SPEED."""
     return usual_gaits(model).walk or steered_type(model, (0.0, WALK_SPEED), 0.0)
 
 
 def neutral_types(model: MotionModel) -> tuple[str, ...]:
-    """Return the types characters perform before a command: the one that stands, and the one that walks."""
+    """The neutral types before a command: standing and walking."""
     return tuple(dict.fromkeys((steered_type(model, (0.0, 0.0), None), walking_type(model))))
 
 
 def commanded(model: MotionModel, kind: str, seconds: float, seed: int) -> tuple[TypePart, TypePart]:
-    """Return what a roll-out does that is to show a type: one of the neutral types by turns, then the type."""
+    """The parts of a roll-out that shows a type: a neutral type, alternating with the seed, then the type."""
     neutral = neutral_types(model)
     return TypePart(neutral[seed % len(neutral)], NEUTRAL_SECONDS), TypePart(kind, seconds)
 
 
 class Steering:
-    """The state behind the trajectories of one character: spring and halting place."""
+    """The springs that make the trajectories of one character, and the anchor where it stopped."""
 
     def __init__(self, fps: float, options: SteeringOptions) -> None:
         self.fps, self.options = fps, options
@@ -175,10 +173,10 @@ class Steering:
         self._anchor: tuple[float, float, float] | None = None
 
     def observe(self, x: float, z: float, heading: float, free: bool) -> None:
-        """Take in where the body is, once a frame, before the trajectory is asked for.
+        """Measure the movement of the body; call this once per frame, before trajectory.
 
         Args:
-            free: nobody steers; the spring then just does what the body does.
+            free: whether nobody steers; the springs then follow the body.
         """
         before = self._before or (x, z, heading)
         self._before = (x, z, heading)
@@ -203,8 +201,8 @@ class Steering:
         """The 24 trajectory numbers in the heading frame, after observe.
 
         Args:
-            velocity: wished, x and z in cm/s; below STANDS_BELOW the character stands where it stopped.
-            facing: wished heading in radians; None keeps the facing it stopped with, or the present one.
+            velocity: wished velocity, x and z in cm/s; below STANDS_BELOW the character stands where it stopped.
+            facing: wished heading in radians; None keeps the heading at which it stopped, or the present one.
         """
         assert self._before is not None and self._facing is not None
         x, z, heading = self._before
@@ -226,10 +224,10 @@ class Steering:
         return out
 
     def settled(self, velocity: Pair) -> float:
-        """How far feet may hold the root, 0 to 1: not while a body that is to go another way, or faster, does not yet.
+        """Factor on the root-slip correction, 0 to 1: small while the body lacks speed in the wished direction.
 
         Args:
-            velocity: wished, x and z in cm/s.
+            velocity: wished velocity, x and z in cm/s.
         """
         speed = math.hypot(*velocity)
         if speed < STANDS_BELOW:
@@ -238,7 +236,7 @@ class Steering:
         return min(1.0, max(0.0, 1.0 - (1.0 - along / speed) / self.options.settled_within))
 
     def _hold(self, x: float, z: float) -> tuple[float, float, float] | None:
-        """Place and heading to keep, once the spring has nearly stopped; None before."""
+        """Place and heading to keep once the spring has nearly stopped; None before that."""
         assert self._facing is not None
         far = self._anchor is not None and math.dist(self._anchor[:2], (x, z)) > self.options.leave_anchor
         if self._anchor is None or far:
@@ -248,7 +246,7 @@ class Steering:
         return self._anchor
 
     def _place(self, axis: int, goal: float, anchor: tuple[float, float, float] | None) -> list[float]:
-        """Way from here along an axis at each of the six times."""
+        """Displacement along an axis at each of the six trajectory times."""
         assert self._before is not None
         times = [offset / self.fps for offset in TRAJECTORY_OFFSETS]
         if anchor is not None:
@@ -260,7 +258,7 @@ class Steering:
         return [goal * t + spring_travel(away, self._acceleration[axis], y, t) for t in times]
 
     def _turns(self, wanted: float, heading: float) -> list[float]:
-        """Turn from the present heading at each of the six times."""
+        """Turn from the present heading at each of the six trajectory times."""
         assert self._facing is not None
         y = spring_rate(self.options.turn_halflife)
         away = nearest_turn(self._facing[0] - wanted)
@@ -268,7 +266,7 @@ class Steering:
         return [begin + spring(away, self._facing[1], y, t / self.fps)[0] for t in TRAJECTORY_OFFSETS]
 
     def _advance(self, goal: Pair, wanted: float) -> None:
-        """The spring one frame on."""
+        """Advance the springs by one frame."""
         assert self._facing is not None
         y, t = spring_rate(self.options.halflife), 1.0 / self.fps
         for axis in (0, 1):

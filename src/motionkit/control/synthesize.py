@@ -1,4 +1,4 @@
-"""Whole motions from a list of types: the library call behind `motionkit synthesize`."""
+"""Synthesis of whole motions from motion types: the library call behind `motionkit synthesize`."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length
 from motionkit.seeds import check_seed
 
-# Frames of all characters together, or of the files written: four gigabytes of memory.
-MAX_FRAMES = 500_000
+MAX_FRAMES = 500_000  # of all characters together, at the higher of model and file rate; takes 4 GB of memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +35,11 @@ class Synthesis:
     """One synthesized motion.
 
     Attributes:
-        motion: what to write: on the character, at the asked rate, feet locked if asked for.
+        motion: the motion on the character's skeleton at the requested rate, finished if options.ik is set.
         contacts: (T, 4) predicted contacts at the model's rate.
-        types: the parts that were asked for.
-        raw: the network's output, with feet not locked, if options.raw asks for it.
-        unfinished: what motion was finished from, for rigs whose own feet are locked; None with keys.
+        types: the planned parts.
+        raw: the motion before finishing, if options.raw is set.
+        unfinished: the motion before finishing, with its contacts, to finish it on a rig instead; None with keys.
     """
 
     motion: Motion
@@ -52,11 +51,12 @@ class Synthesis:
 
 @dataclass(frozen=True)
 class SynthesisOptions:
-    """How to synthesize: the defaults are those of the command; None is the model's own noise, and its rate.
+    """Options of synthesis, with the defaults of the command.
 
-    raw also keeps the motion without foot locks; keys are poses to meet.
+    noise None takes the model's default noise, and fps None its rate. ik finishes the motion, raw also keeps the motion
+    before finishing, and keys are keys to meet.
 
-    Raises ControlError for a count below 1 and a seed that is none.
+    Raises ControlError for a count below 1 or an invalid seed.
     """
 
     count: int = 1
@@ -77,14 +77,14 @@ class SynthesisOptions:
 
 @dataclass(frozen=True, eq=False)
 class SynthesisResult:
-    """All motions of a call, and how long the roll-out took."""
+    """All motions of a call, and the duration of the roll-out in seconds."""
 
     motions: tuple[Synthesis, ...]
     seconds: float
 
     @property
     def motion(self) -> Motion:
-        """The first motion, for calls that make one."""
+        """The first motion, for calls that make only one."""
         return self.motions[0].motion
 
     @property
@@ -99,11 +99,11 @@ def synthesize(
     options: SynthesisOptions | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> SynthesisResult:
-    """Motion types one after another; the same seed gives the same motion.
+    """Synthesize motion types one after another; the same seed gives the same motion.
 
-    All characters run in one batch, each with the next seed: it moves as it would alone with that seed. parts are
-    for all of them, or several lists of parts that they take in turn, as they do the names in options.character,
-    which commas separate.
+    All characters run in one batch with successive seeds; each moves as it would alone with its seed. parts is one list
+    for all characters, or several lists that they take in turn. options.character may hold several names, separated by
+    commas, which they also take in turn.
 
     Raises:
         ControlError: for an unknown type or character, a count below one, or more than MAX_FRAMES.
@@ -146,7 +146,7 @@ def _begun(
     openings: Sequence[Opening],
     plans: Sequence[Plan],
 ) -> RolloutState:
-    """A roll-out that has shown the opening of each character."""
+    """Start a roll-out from the opening of each character."""
     state = RolloutState(model, options.count, options.noise or default_noise(model), options.seed)
     state.controls.set_skeletons(bodies)
     starts = [each.start for each in openings]
@@ -161,7 +161,7 @@ def _begun(
 
 
 def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
-    """Refuse more motion than memory holds, before any is asked for; raises ControlError."""
+    """Raise ControlError for more motion than memory holds."""
     fps = max(model_fps, options.fps or 0.0)
     most = MAX_FRAMES / options.count / fps
     if seconds > most:
@@ -174,7 +174,7 @@ def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> N
 def _asked(
     model: MotionModel, parts: Sequence[TypePart] | Sequence[Sequence[TypePart]], options: SynthesisOptions
 ) -> list[list[TypePart]]:
-    """One list of parts for every kind of character; raises ControlError for what cannot be synthesized."""
+    """Return the lists of parts that characters take in turn; raises ControlError if they cannot be synthesized."""
     asked: list[list[TypePart]] = []
     alone: list[TypePart] = []
     for part in parts:
@@ -199,15 +199,14 @@ def unfinished(
     most: float | None = None,
     hold: Array | float = 0.0,
 ) -> Unfinished:
-    """One character of a roll-out as a motion that is still to be finished.
+    """Decode one character of a roll-out into a motion before finishing.
 
-    A model that is shown the skeleton moves it as it is; what others do is on the default body.
+    The motion is on the skeleton of the character if the network takes skeletons as input, else on the default body.
 
     Args:
-        skeleton: of the character that is shown.
-        most: acceleration over the ground in m/s^2 (acceleration_limit of its types); None for no limit.
-        hold: share (T,) or one for all frames of the sliding of feet in contact that is taken out of the root's way; 0
-            where the way was given.
+        skeleton: skeleton of the character.
+        most: limit of the root's acceleration over the ground in m/s^2 (acceleration_limit); None for no limit.
+        hold: share (T,), or one for all frames, of foot sliding to subtract from the root's path; 0 keeps the path.
     """
     motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
     size = leg_length(skeleton) / leg_length(motion.skeleton)
@@ -217,7 +216,7 @@ def unfinished(
 def finished(
     model: MotionModel, drawn: Unfinished, skeleton: Skeleton, options: SynthesisOptions
 ) -> tuple[Motion, Motion | None]:
-    """A motion to write, on its skeleton and at its rate, and the same unfinished if the options ask for it."""
+    """Finish a motion on its skeleton, at the rate of the options; also returns it unfinished if options.raw is set."""
     raw = _at_rate(on_character(drawn.motion, skeleton), options) if options.raw else None
     if options.keys:
         before = None if options.init is None else on_character(clip_motion(model, options.init), skeleton)
@@ -233,11 +232,11 @@ def _at_rate(motion: Motion, options: SynthesisOptions) -> Motion:
 
 
 def _moved(model: MotionModel, skeleton: Skeleton) -> Skeleton:
-    """The skeleton that the network moved for a character with this one."""
+    """The skeleton that the network moves for a character with this skeleton."""
     return skeleton if model.shows_bodies else model.character("default")
 
 
 def on_character(motion: Motion, skeleton: Skeleton) -> Motion:
-    """The same rotations on another body, the root's path scaled with the length of its legs."""
+    """Put the rotations on another body, and scale the root's path by its leg length."""
     share = leg_length(skeleton) / leg_length(motion.skeleton)
     return replace(motion, skeleton=skeleton, root_positions=motion.root_positions * share)

@@ -1,8 +1,7 @@
 """Foot locking for whole motions: feet stay in place during contacts, by two-bone IK with eased transitions.
 
-Works on the canonical joints. While a foot is in contact, its toe is held in one place at the height of a standing
-one; the knee bends to reach it, and the hips come down where the leg is too short. Live characters have foot locking
-frame by frame, in C (inference).
+Works on the canonical joints. During a contact the toe stays in one place at standing height; the knee bends to reach it,
+and the hips come down where the leg is too short. The C kernels lock the feet of live characters frame by frame.
 """
 
 from __future__ import annotations
@@ -33,22 +32,23 @@ from motionkit.motion.skeleton import FOOT_JOINTS
 
 Span = tuple[int, int]  # first frame, and the frame after the last
 
-# Frames at 60 fps, as those of LOCK; motions of other rates have as many frames in the same time.
-MIN_LOCK_FRAMES = 4
-LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise as many frames before that
-# A step lasts up to so many frames until the foot is at rest, where it moves less than so many cm a frame.
+# Frames count at 60 fps, as in LOCK; _frames converts them to other rates.
+MIN_LOCK_FRAMES = 4  # shorter contacts are ignored
+LIFT_FRAMES = 2  # a toe that is too low reaches its height this many frames early, after a rise of as many
+# Longest step in frames, and the speed (cm per frame) below which a foot is at rest. A step ends with the foot at rest.
 LONGEST_STEP, STEP_REST = 32, 0.2
-FLOOR_FADE = 6.0  # cm above the heights of recorded contacts at which predicted ones count no more
+FLOOR_FADE = 6.0  # cm above CONTACT_HEIGHTS over which a predicted contact fades out
 RATE = 60.0
 
 
 def lock_feet(motion: Motion, contacts: Array) -> Motion:
-    """Hold the feet of a motion while they touch the floor, and keep toes above it.
+    """Lock the feet of a motion during contacts, and keep its toes above the floor.
 
     Args:
         motion: T frames on the canonical joints, in cm, the floor at height zero.
-        contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe. They count near the floor
-            only: of a body upside down they may be predicted before a foot is there, which would be torn down.
+        contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe. They count only near the
+            floor: a network may predict a contact while the body is still upside down, and a lock would pull the foot
+            down.
 
     Returns:
         The motion with changed leg rotations and root positions.
@@ -77,7 +77,7 @@ def lock_feet(motion: Motion, contacts: Array) -> Motion:
 
 
 def _near_floor(positions: Array) -> Array:
-    """How near the floor (T, 4) the parts of feet are, 0 to 1."""
+    """Weights (T, 4) of contacts by height: 1 at contact height or below, 0 at FLOOR_FADE above it."""
     heights = positions[:, list(FOOT_JOINTS), 1]
     return np.clip(1.0 - (heights - np.array(CONTACT_HEIGHTS)) / FLOOR_FADE, 0.0, 1.0).astype(positions.dtype)
 
@@ -88,7 +88,7 @@ def _frames(count: float, fps: float) -> int:
 
 
 def locked_spans(contacts: Array, fps: float = RATE) -> list[Span]:
-    """Spans (start, end) of frames in contact, from probabilities (T, n) of parts of a foot."""
+    """Spans (start, end) of frames in contact, from probabilities (T, n) of the joints of a foot."""
     level = contacts.max(axis=-1).tolist()
     spans, start = [], None
     for t, value in enumerate([*level, 0.0]):
@@ -104,16 +104,16 @@ def locked_spans(contacts: Array, fps: float = RATE) -> list[Span]:
 def _still_spans(
     place: Array, spans: list[Span], fps: float, taken: list[Span]
 ) -> tuple[list[Span], list[Span]]:
-    """Split spans where the foot, at places (T, 2), slides further than max_slide; it takes a new place by a step.
+    """Split contact spans with a step wherever the foot, at places (T, 2), slides further than max_slide.
 
-    A step ends where the foot has come to rest, if that is soon enough. A foot that slides fast stands as long as it
-    steps.
+    A step ends with the foot at rest, if that happens within LONGEST_STEP. A foot that slides fast stands as long as
+    it steps.
 
     Args:
-        taken: steps of the other foot, during which this one stands if it can.
+        taken: steps of the other foot; this one stands during them if it can.
 
     Returns:
-        The spans in which the foot stands, and its steps.
+        Spans in which the foot stands, and its steps.
     """
     step, longest = _frames(LOCK.step_frames, fps), _frames(LONGEST_STEP, fps)
     rests = np.flatnonzero(np.append(length(np.diff(place, axis=0)) < STEP_REST * RATE / fps, True))
@@ -139,7 +139,7 @@ def _still_spans(
 
 
 def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> tuple[Array, list[Span]]:
-    """How far a toe (T, 3) moves in each frame (T, 3), to where it is held and to its height, and its steps.
+    """Shifts (T, 3) that bring a toe (T, 3) to its locked place and height, and the steps of its foot.
 
     Args:
         taken: steps of the other foot.
@@ -150,7 +150,7 @@ def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> t
     spans, steps = _still_spans(place, touching, fps, taken)
     holds = [lower_median(place[start:end]) - place[start:end] for start, end in spans]
     over_ground = _faded(holds, spans, (len(toe), 2), ease)
-    # The ball of the foot stands at one height; a heel that touches first says nothing about it.
+    # Contacts of the toe alone set its height: a heel may touch first.
     spans = locked_spans(contacts[:, 1:], fps)
     standing = np.clip(height, TOE.standing - TOE.slack, TOE.standing + TOE.slack) - height
     upwards = _faded([standing[start:end] for start, end in spans], spans, (len(toe), 1), ease)
@@ -162,9 +162,9 @@ def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> t
 
 
 def _raised_steps(place: Array, steps: list[Span], whole: int) -> Array:
-    """How far a toe at places (T, 2) rises in each frame (T, 1) for its steps: the further they go, the higher.
+    """Rise (T, 1) in cm of a toe at places (T, 2) during its steps.
 
-    Steps of fewer frames than a whole one are lower.
+    A longer step rises higher; a step of fewer than `whole` frames rises less.
     """
     out = np.zeros((len(place), 1))
     for start, end in steps:
@@ -176,9 +176,9 @@ def _raised_steps(place: Array, steps: list[Span], whole: int) -> Array:
 
 
 def _faded(shifts: list[Array], spans: list[Span], shape: tuple[int, int], ease: int) -> Array:
-    """Shifts (n, k) given for some spans as shifts of all frames, of shape (T, k); they fade out in `ease` frames.
+    """Spread shifts (n, k) of some spans over all frames (T, k); they fade out over `ease` frames.
 
-    Frames between two near spans blend both; within a span only that one has weight.
+    Frames between two near spans blend both. Within a span only its own shift counts.
     """
     pulls, weights, strength = np.zeros(shape), np.zeros((shape[0], 1)), np.zeros((shape[0], 1))
     for shift, (start, end) in zip(shifts, spans, strict=True):
@@ -195,7 +195,7 @@ def _faded(shifts: list[Array], spans: list[Span], shape: tuple[int, int], ease:
 
 
 def _easing(frames: int, ease: int) -> Array:
-    """The first frames of a share that falls to 0 in `ease` frames."""
+    """The first `frames` values of a share that falls from 1 to 0 in `ease` frames."""
     return smoothstep(1.0 - np.arange(1, frames + 1) / ease)
 
 

@@ -1,4 +1,4 @@
-"""Finishing: root height, the root's way and feet, for types, paths, keys, rigs and repaired clips alike."""
+"""Finishing: corrects root motion, root height and feet, for types, paths, keys, rigs and repaired clips alike."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from motionkit.motion.motion import Motion
 
 @dataclass(frozen=True, eq=False)
 class Finish:
-    """What finishing is told of a motion.
+    """Settings of finishing for one motion.
 
     Attributes:
-        drawn: whether a network drew it, at 60 fps; of recorded clips flights and glides are left as they are.
-        hold: share (T,), or one for all frames, of the sliding of feet in contact that is taken out of the root's way;
-            0 where the way was given.
-        most: acceleration over the ground in m/s^2 that recordings of its types keep below; None for no limit.
-        size: of the body that is shown, against that of the motion.
+        drawn: whether a network drew the motion, at 60 fps. Flights and glides of recorded clips stay as they are.
+        hold: share (T,), or one for all frames, of foot sliding to subtract from the root's path; 0 keeps the path.
+        most: limit of the root's acceleration over the ground in m/s^2; None for no limit.
+        size: scale of the shown body relative to the body of the motion.
     """
 
     drawn: bool = True
@@ -31,27 +30,27 @@ class Finish:
 
 @dataclass(frozen=True, eq=False)
 class Unfinished:
-    """A motion before it is finished: on the canonical joints, with its contacts (T, 4) and what is told of it."""
+    """A motion on the canonical joints before finishing, with its contacts (T, 4) and settings."""
 
     motion: Motion
     contacts: Array
     told: Finish
 
     def finished(self) -> Motion:
-        """The motion as it is written."""
+        """The finished motion."""
         return finish(self.motion, self.contacts, self.told)
 
 
 def finish(motion: Motion, contacts: Array, told: Finish) -> Motion:
-    """A motion as it is written; each correction once, in this order (docs/rollout.md has what each brings).
+    """Return the finished motion: each correction runs once, in this order (docs/rollout.md measures each).
 
-    The body rises out of the ground before its feet are moved; flights are corrected after it, since legs decide where
-    a flight begins and ends.
+    The body rises out of the ground before foot locking. Flights come last, because the legs decide where a flight
+    begins and ends.
 
     Args:
         motion: T frames on the canonical joints, in cm, the ground at height zero.
         contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
-        told: what is known of the motion.
+        told: the settings.
     """
     motion = held_way(above_ground(motion), contacts, told.hold, told.most)
     motion = lock_feet(motion, contacts)

@@ -1,4 +1,4 @@
-"""Any motion on a user's rig, its feet on the floor: what --rig and `motionkit retarget` write."""
+"""Puts a motion on a user's rig with its feet on the floor, for --rig and `motionkit retarget`."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def on_rig(
     clip: Motion | None = None,
     drawn: Unfinished | None = None,
 ) -> Motion:
-    """A motion on the skeleton of a rig, in its unit and axes; to_rig.rig_bvh makes a BVH file of it.
+    """Return a motion on the skeleton of a rig, in its unit and axes; to_rig.rig_bvh makes a BVH file of it.
 
     Args:
         motion: on the canonical joints, in cm, the floor at height zero.
         rig: from read_rig.
-        ik: finish the motion on the body of the rig; its feet are held while those of the motion touch the floor.
-        clip: motion of the rig, whose other joints (fingers, props) move as they do there; from read_clip.
-        drawn: the same motion with the contacts that a network predicted for it. By default it was recorded, and
-            contacts are found by height and speed.
+        ik: finish the motion on the body of the rig, with feet locked during the contacts of the motion.
+        clip: motion of the rig that moves its other joints (fingers, props); from read_clip.
+        drawn: the same motion with the contacts that a network predicted. By default the motion was recorded, and
+            contacts come from height and speed.
 
     Raises:
         SkeletonError: clip has other joints than the rig.
@@ -45,7 +45,7 @@ def on_rig(
 
 
 def _finished(body: Motion, rig: Rig, drawn: Unfinished) -> Motion:
-    """A motion of the body of a rig, finished, its feet as high as those of the rig stand."""
+    """Finish a motion on the body of a rig, with the feet at the standing height of the rig."""
     contacts, told = drawn.contacts, replace(drawn.told, size=1.0)
     usual = stance(drawn.motion, rig, contacts)
     if usual is None:  # nothing stands
@@ -55,6 +55,6 @@ def _finished(body: Motion, rig: Rig, drawn: Unfinished) -> Motion:
 
 
 def _standing(body: Motion, rig: Rig, contacts: Array, height: float) -> Motion:
-    """The motion moved up or down, so that its feet stand at a height in cm."""
+    """Move the motion up or down so that its feet stand at a height in cm."""
     up = np.array([0.0, height - (stance(body, rig, contacts) or 0.0), 0.0], body.root_positions.dtype)
     return replace(body, root_positions=body.root_positions + up)

@@ -1,9 +1,8 @@
-"""The height of the root in whole motions: no joint in the ground, free fall in flights, nothing that glides.
+"""Corrects the root height of whole motions: no joint below the ground, free fall in flights, no gliding.
 
-A network that answers with the mean of what may
-come falls too slowly in some jumps and too fast in others, and between two steps or two hands it may hold a body up by
-nothing. Take-off and landing stay where they are. Live characters do not know what comes: the root-height correction of
-inference is all they have.
+A network predicts the mean of what may come. So some jumps float and others drop, and a body may glide above the ground
+between two steps or two hands. Take-off and landing stay where they are. Live characters do not know the frames ahead;
+they have only the root-height correction (inference/height_correction.py).
 """
 
 from __future__ import annotations
@@ -19,22 +18,22 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
 
-# Joints that the ground keeps up by lifting the whole body; feet are moved by themselves.
+# Joints that lift the whole body where they would go below the ground. Foot locking moves the feet.
 ABOVE = np.delete(np.arange(JOINT_COUNT), FOOT_JOINTS)
 
 
 @dataclass(frozen=True)
 class HeightSettings:
-    """How the root's height is corrected; frames at 60 fps, chosen on validation.
+    """Settings of the root height; frames at 60 fps, chosen on validation.
 
     Attributes:
-        rise_frames: the body is lifted so many frames before a hand would go through the ground.
-        flight_error: (least, most) difference to free fall in m/s^2 that is corrected. Short flights of runs are
-            nearer; what is further off is a body on its hands, or one that glides.
-        ease_frames: frames over which a change comes and goes.
-        glide_height: cm; a body that comes higher than this above the ground flies.
-        stands: cm below the heights at which joints may touch, where standing feet are.
-        smooth_frames: frames to both sides over which the way down is averaged.
+        rise_frames: frames by which the body rises before a hand would go below the ground.
+        flight_error: (least, most) error of the fall in m/s^2 that is corrected. Short flights of runs have less; a
+            body on its hands or a gliding one has more.
+        ease_frames: frames over which a correction comes and goes.
+        glide_height: cm above the ground up to which a body glides; a higher one flies.
+        stands: cm by which standing feet are below the touch heights.
+        smooth_frames: frames to both sides over which the descent of a glide is averaged.
     """
 
     rise_frames: int = 10
@@ -49,7 +48,7 @@ HEIGHT = HeightSettings()
 
 
 def above_ground(motion: Motion) -> Motion:
-    """A motion whose body rises, smoothly, so that hands, head and trunk stay above the ground.
+    """Raise the body smoothly so that hands, head and trunk stay above the ground.
 
     Args:
         motion: T frames on the canonical joints, in cm, the ground at height zero.
@@ -61,12 +60,14 @@ def above_ground(motion: Motion) -> Motion:
 
 
 def in_the_air(motion: Motion, size: float = 1.0) -> Motion:
-    """A motion whose flights of at least 0.2 s fall freely, and whose body does not glide above the ground.
+    """Make flights of at least 0.2 s fall freely, and bring a gliding body down to the ground.
+
+    A motion of fewer than FIT_FRAMES frames stays as it is.
 
     Args:
-        motion: T frames on the canonical joints at 60 fps, in cm, the ground at height zero; feet are locked already,
-            since legs decide where a flight begins and ends. One too short to tell how it falls stays as it is.
-        size: of the body that is shown, against this one: a small body falls faster in its own lengths.
+        motion: T frames on the canonical joints at 60 fps, in cm, the ground at height zero. Feet are locked already,
+            because the legs decide where a flight begins and ends.
+        size: scale of the shown body relative to this one. Measured in its own lengths, a small body falls faster.
     """
     if len(motion) < FIT_FRAMES:
         return motion
@@ -85,9 +86,9 @@ def _raised(motion: Motion, lift: Array) -> Motion:
 
 
 def _glide(positions: Array) -> Array:
-    """How far (T,) a body comes down that glides a little above the ground without falling.
+    """Descent (T,) in cm of a body that glides a little above the ground without falling.
 
-    Its lowest joint goes on between its heights before and after.
+    The height of its lowest joint is interpolated between the frames before and after the glide.
     """
     above = (positions[..., 1] - TOUCH_HEIGHTS).min(axis=-1)
     held_up = vertical_acceleration(centre_of_mass(positions)[:, 1]) > FALLING
@@ -101,7 +102,7 @@ def _glide(positions: Array) -> Array:
 
 
 def _excess(above: Array, first: int, last: int) -> Array:
-    """How much heights (T,) are above the line between two frames, eased at both ends, for these frames."""
+    """Heights above the line between two frames, for the frames from first to last; eased at both ends."""
     frames = np.arange(first, last + 1)
     line = np.clip(np.interp(frames, [first, last], above[[first, last]]), -HEIGHT.stands, 0.0)
     to_end = np.minimum(frames - first, last - frames) + 1
@@ -111,7 +112,7 @@ def _excess(above: Array, first: int, last: int) -> Array:
 
 
 def _free_fall(positions: Array, fps: float, size: float) -> Array:
-    """How far (T,) the root rises so that the centre of mass of flights of at least 0.2 s falls freely."""
+    """Rise (T,) of the root in cm that makes the centre of mass fall freely in flights of at least 0.2 s."""
     shown = positions * size
     heights = centre_of_mass(shown)[:, 1]
     lift = np.zeros(len(positions))

@@ -1,7 +1,7 @@
-"""The root's way over the ground in whole motions: feet that stand hold it, and it accelerates no harder than recorded.
+"""Corrects the root's path over the ground in whole motions: less foot sliding, no harder acceleration than recorded.
 
-Where a flip follows a run, or one recording another, a network may brake or push off harder than any body. Live
-characters do not know what comes, and move as the network has it.
+Where a flip follows a run, or one recording another, a network may brake or push off harder than any body can. Live
+characters do not know the frames ahead, so their acceleration is not corrected.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from motionkit.motion.skeleton import FOOT_JOINTS
 
 @dataclass(frozen=True)
 class WaySettings:
-    """How the root's way is corrected; chosen on validation.
+    """Settings of the root's path; chosen on validation.
 
     Attributes:
-        hold_frames: the sliding of feet is averaged over so many frames to both sides: it trembles as they do.
-        rate, rounds, smooth_frames: each round takes out a share of what is too much of the acceleration, averaged over
-            so many frames to both sides.
-        close: share of the limit that may be left over.
+        hold_frames: frames to both sides over which the sliding of feet is averaged, because predicted feet tremble.
+        rate: share of the excess acceleration that one round removes.
+        rounds: most rounds.
+        smooth_frames: frames to both sides over which the excess is averaged.
+        close: excess at which the rounds end, as a share of the limit.
     """
 
     hold_frames: int = 6
@@ -40,14 +41,13 @@ WAY = WaySettings()
 
 
 def held_way(motion: Motion, contacts: Array, share: Array | float, most: float | None) -> Motion:
-    """A motion whose feet slide less and whose root accelerates over the ground by at most some m/s^2.
+    """Reduce foot sliding, then limit the root's acceleration over the ground.
 
     Args:
         motion: T frames on the canonical joints at 60 fps, in cm.
         contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
-        share: (T,), or one for all frames, of the sliding of feet in contact that is taken out; 0 keeps a way that was
-            asked for, 1 lets feet decide it.
-        most: acceleration between velocities over 0.2 s; None for no limit.
+        share: (T,), or one for all frames, of foot sliding to remove. 0 keeps the path; with 1 the feet decide it.
+        most: limit in m/s^2 between velocities over 0.2 s; None for no limit.
     """
     way = motion.root_positions[:, ::2].astype(np.float64)
     shift = _hold(motion, contacts, share)
@@ -60,7 +60,7 @@ def held_way(motion: Motion, contacts: Array, share: Array | float, most: float 
 
 
 def _hold(motion: Motion, contacts: Array, share: Array | float) -> Array:
-    """What (T, 2) takes the sliding of feet in contact out of the way, smoothly."""
+    """Shifts (T, 2) of the root in cm that remove the sliding of feet in contact, smoothed."""
     shift = np.zeros((len(motion), 2))
     shares = np.broadcast_to(np.asarray(share, np.float32), len(motion))[1:, None]
     if not shares.any():
@@ -72,15 +72,15 @@ def _hold(motion: Motion, contacts: Array, share: Array | float) -> Array:
 
 
 def _eased(begun: Array, most: float | None, fps: float) -> Array:
-    """What (T, 2) brings a way (T, 2) below an acceleration in m/s^2.
+    """Shifts (T, 2) in cm that bring the acceleration of a path (T, 2) below a limit in m/s^2.
 
-    Each frame in which it is too fast moves towards the middle of the frames before and after, and these the other
-    way, so that the way as a whole stays where it is.
+    Each frame above the limit moves towards the midpoint of the frames before and after. Those move the other way, so
+    the path as a whole stays in place.
     """
     span = max(1, round(PACE_SECONDS * fps))
     if most is None or len(begun) <= 2 * span:
         return np.zeros_like(begun)
-    unit = 100.0 * (span / fps) ** 2  # cm that a frame is from its neighbours' middle, twice, for 1 m/s^2
+    unit = 100.0 * (span / fps) ** 2  # second difference of the path in cm at 1 m/s^2
     first = _extended(begun, span)
     way = first.copy()
     for _ in range(WAY.rounds):
@@ -94,12 +94,12 @@ def _eased(begun: Array, most: float | None, fps: float) -> Array:
         way[2 * span :] -= push
         way[: -2 * span] -= push
     shift = (way - first)[2 * span : -2 * span]
-    # Motion goes on from where it begins: from a clip, or a path.
+    # The first frame stays in place: the motion continues a clip or a path.
     return shift - shift[0] * (1.0 - smoothstep(np.minimum(np.arange(len(shift)) / (2 * span), 1.0)))[:, None]
 
 
 def _extended(way: Array, span: int) -> Array:
-    """A way (T, 2) that comes and goes on at the velocity of its ends, for twice `span` frames each."""
+    """Extend a path (T, 2) at both ends by twice `span` frames, at the velocities of its ends."""
     frames = np.arange(1, 2 * span + 1)[:, None]
     before, after = (way[1] - way[0]) * frames[::-1], (way[-1] - way[-2]) * frames
     return np.concatenate([way[0] - before, way, way[-1] + after])

@@ -1,4 +1,4 @@
-"""Live characters: controls in, a posed frame of every character out, one step at a time."""
+"""Live characters: each step takes controls and returns the posed frame of every character."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from motionkit.inference.start import on_body, type_start
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 
-_POSITIONS = 2 * len(TRAJECTORY_OFFSETS)  # of the trajectory numbers, the first are centimetres
+_POSITIONS = 2 * len(TRAJECTORY_OFFSETS)  # count of trajectory numbers in cm; they come first
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +27,10 @@ class CharacterFrame:
 
     Attributes:
         positions: (N, 23, 3) joints in the world.
-        rotations: (N, 23, 4) quaternions w, x, y, z in the parent's space.
+        rotations: (N, 23, 4) quaternions w, x, y, z in parent space.
         root_positions: (N, 3) the hips in the world.
         contacts: (N, 4) probabilities: left foot, left toe, right foot, right toe.
-        ground: (N, 3) root x, z and heading in the world, from which controllers make trajectories.
+        ground: (N, 3) root x, z and heading in the world; controllers make trajectories from it.
     """
 
     positions: Array
@@ -43,10 +43,9 @@ class CharacterFrame:
 class CharacterStream:
     """N independent characters; each call of step() moves all of them by one frame.
 
-    Every character has a skeleton of the model. A network that takes skeletons as input moves that skeleton itself;
-    otherwise the character gets the network's rotations, and its path over the ground is scaled by its leg length.
-    MotionIndex, trajectories and frames are all in the character's own world, so nothing outside has to know of
-    the scale.
+    Every character has a skeleton of the model. A network that takes skeletons as input moves that skeleton. Otherwise
+    the character gets the network's rotations, and its path over the ground is scaled by its leg length. Positions,
+    trajectories and frames use the character's own scale.
     """
 
     def __init__(
@@ -58,7 +57,7 @@ class CharacterStream:
         ik: bool = True,
         characters: Sequence[str] = ("default",),
     ) -> None:
-        """count characters, taking the named skeletons in turn, at the origin in the model's first type.
+        """Start count characters at the origin in the model's first type; they take the named skeletons in turn.
 
         Raises:
             ControlError: for an unknown character or a count below one.
@@ -91,7 +90,7 @@ class CharacterStream:
         type: str | None = None,
         place: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
-        """Start one character anew from a start pose of a type, at a place x, z (cm) and heading (radians).
+        """Restart one character from a start pose of a type, at x, z (cm) and heading (radians).
 
         Raises:
             ControlError: for an unknown character or type.
@@ -129,7 +128,7 @@ class CharacterStream:
 
 
 def model_first_type(model: MotionModel) -> str:
-    """The type a character begins in if none is asked for: standing, else the first with start poses."""
+    """The default type of a new character: standing, else the first type with start poses."""
     known = {name: kind for name, kind in model.types.items() if kind.start_poses}
     if not known:
         raise ControlError("the model has no start poses")

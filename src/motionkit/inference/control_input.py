@@ -1,4 +1,4 @@
-"""Controls as they are asked for -> control vectors for the network, and the sampling presets of the types."""
+"""Turns requested controls into the control vectors of the network and the sampling presets of the types."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class ControlInput:
     """The controls of B characters.
 
     Attributes:
-        vectors: (B, C) for the network.
-        presets: of the types asked for.
+        vectors: (B, C) input of the network.
+        presets: sampling presets of the requested types.
         type_presets: (N, 3) PRESETS of every type.
         skeletons: (B, S) skeleton control signals.
-        trajectory: (B, 24) in cm as a plain model predicted it, for frames that ask for none (paper section 5.2).
+        trajectory: (B, 24) in cm, predicted by a plain model; used where no trajectory is given (paper section 5.2).
     """
 
     def __init__(self, model: MotionModel, batch: int) -> None:
         self.model = model
-        self._layout, self._references = model.controls, model.reference_map  # made anew at each call
+        self._layout, self._references = model.controls, model.reference_map  # each access builds them again
         self.vectors = np.zeros((batch, self._layout.size), np.float32)
         self.presets = PresetArrays.of(batch)
         self.type_presets = np.stack([model.presets(name) for name in PRESETS], axis=1)
@@ -44,11 +44,11 @@ class ControlInput:
         self.trajectory = np.zeros((batch, TRAJECTORY_COUNT), np.float32)
 
     def set_skeletons(self, skeletons: Sequence[Skeleton]) -> None:
-        """The skeleton control signal of each character."""
+        """Set the skeleton control signal of each character."""
         self.skeletons = np.stack([skeleton_signal(s) for s in skeletons])
 
     def take(self, asked: Controls, x: Floats) -> Floats:
-        """The vectors (B, C) of controls asked for at normalised frames x (B, 276); presets follow the types."""
+        """Return the control vectors (B, C) at normalised frames x (B, 276), and set the presets of the types."""
         model, presets = self.model, self.presets
         if model.plain:
             asked = self._with_own_trajectory(asked)
@@ -62,18 +62,18 @@ class ControlInput:
         return self.vectors
 
     def keep_trajectory(self, predicted: Floats) -> None:
-        """Keep the trajectory (B, 24), normalised, that a plain model predicted for the frame that comes."""
+        """Keep the normalised trajectory (B, 24) that a plain model predicted for the next frame."""
         if self.model.plain:
             self.trajectory[:] = self.model.trajectory_scaling.denormalize(predicted)
 
     def recorded_trajectories(self, features: Array) -> Array:
-        """The trajectories (B, T, 24) of recorded frames (B, T, 276), which go straight on after the last of them."""
+        """Trajectories (B, T, 24) of recorded frames (B, T, 276), extended straight on after the last frame."""
         origin = np.zeros((len(features), 3), np.float32)
         ground = integrate_ground(features, origin, self.model.fps, self.model.config.layout)
         frames = np.arange(features.shape[1])
         return np.stack([future_trajectory(each.astype(np.float32), frames) for each in ground])
 
     def _with_own_trajectory(self, asked: Controls) -> Controls:
-        """Controls in which the predicted trajectory stands where none is asked for."""
+        """Fill in the predicted trajectory where the controls give none."""
         given = asked.trajectory_mask[:, None] > 0.0
         return replace(asked, trajectory=np.where(given, asked.trajectory, self.trajectory)).with_mask(1.0)

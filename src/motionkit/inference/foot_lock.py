@@ -1,8 +1,8 @@
-"""Feet held still while they touch, frame by frame: only the past is known. foot_kernel.c does it.
+"""State of foot locking for live characters, frame by frame; foot_kernel.c computes it (numpy form: tests/oracle).
 
-motion/foot_ik.py does the same to a finished motion, where a lock can begin before its contact. Here a foot is caught
-where it is shown when its contact begins, braked over a few frames, held, and let go over a few frames; the knee bends
-to let it, and the hips come down where the leg is too short.
+finish/feet.py locks the feet of a whole motion, where a lock can begin before its contact. Here only the past is known.
+When a contact begins, the foot slows down over a few frames and stays; when the contact ends, it is released over a
+few frames. The knee bends to follow, and the hips come down where the leg is too short.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from motionkit.arrays import Floats
 
 @dataclass(frozen=True, eq=False)
 class RootHold:
-    """How the feet of N characters hold their roots.
+    """How foot sliding corrects the roots of N characters.
 
     Attributes:
-        hold: (N,) share of the sliding of feet in contact that is taken out of the root's way over the ground; may be
-            changed between frames.
-        carry: (N, 2) how far the root has been moved by that, x and z in cm; slip: (N, 2) in the last frame, back.
-        feet: (N, 4, 3) foot joints of the last frame before they were moved; moving: (N,) whether there was one.
-        drop: (N,) how far the hips have come down.
+        hold: (N,) share of foot sliding to subtract from the root's path; may change between frames.
+        carry: (N, 2) total shift of the root so far, x and z in cm.
+        slip: (N, 2) sliding in the last frame; the root moves back by it.
+        feet: (N, 4, 3) foot joints of the last frame before locking.
+        moving: (N,) whether there is a last frame.
+        drop: (N,) how far the hips are lowered.
     """
 
     hold: Floats
@@ -37,15 +38,18 @@ class RootHold:
 
 @dataclass(frozen=True, eq=False)
 class Plants:
-    """The left and the right foot of N characters.
+    """Locks of the left and the right foot of N characters.
 
     Attributes:
-        locked: (N, 2) whether the foot is held; age: (N, 2) frames since it was caught or let go.
-        step: (N, 2) how high the toe of a foot that steps rises, else 0.
-        anchor: (N, 2, 2) x, z of a caught toe.
-        shift: (N, 2, 2) from the predicted to the shown toe; released: that shift when the foot was let go.
+        locked: (N, 2) whether the foot is locked.
+        age: (N, 2) frames since it was locked or released.
+        step: (N, 2) height of the present step; 0 without one.
+        anchor: (N, 2, 2) x, z at which the toe is locked.
+        shift: (N, 2, 2) from the predicted to the shown toe.
+        released: (N, 2, 2) that shift when the foot was released.
         toes: (N, 2, 2) predicted x, z of the last frame.
-        stands: (N, 2) whether the toe is in contact; lift: (N, 2) how far it is moved up or down.
+        stands: (N, 2) whether the toe is in contact.
+        lift: (N, 2) vertical shift of the toe.
     """
 
     locked: NDArray[np.bool_]
@@ -60,7 +64,7 @@ class Plants:
 
 
 class FootLock:
-    """The state of the feet of N characters."""
+    """The foot-lock state of N characters."""
 
     def __init__(self, count: int) -> None:
         def zeros(*shape: int) -> Floats:
@@ -79,7 +83,7 @@ class FootLock:
         return {**vars(self.root), **vars(self.plants)}
 
     def reset(self, index: int) -> None:
-        """Forget one character's past; how much its feet hold the root stays."""
+        """Forget the past of one character; root.hold stays."""
         for name, array in self.arrays.items():
             if name != "hold":
                 array[index] = 0

@@ -1,6 +1,6 @@
-"""The arrays of a frame around the network, which frame_kernel.c reads and writes; rows are characters.
+"""Arrays that frame_kernel.c reads and writes around the network; rows are characters.
 
-They stay where they are, because the kernel is told their addresses once.
+They must not move in memory: the kernel keeps their addresses.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ class FrameArrays:
         return cls(*(np.zeros((batch, size), np.float32) for size in sizes))
 
     def adopt(self, index: int, other: FrameArrays) -> None:
-        """Put the only character of other arrays in place of one of these."""
+        """Replace one character by the only character of other arrays."""
         for mine, its in zip(vars(self).values(), vars(other).values(), strict=True):
             mine[index] = its[0]
 
 
 @dataclass(frozen=True, eq=False)
 class PresetArrays:
-    """How frames of B characters are drawn, by the sampling presets of their types; all (B, 1).
+    """Sampling presets of B characters, by their types; all (B, 1).
 
     Attributes:
         log_noise_scale: logarithm of the factor on standard deviations.
-        velocity_blend: share of the last movement that goes on.
-        slip_correction: share of sliding that is taken out of the root's velocities.
+        velocity_blend: share of the last frame's velocity that is kept.
+        slip_correction: share of foot sliding to subtract from the root's velocity.
     """
 
     log_noise_scale: Floats
@@ -70,9 +70,9 @@ class BodyArrays:
 
     Attributes:
         offsets: (N, 23, 3) bones in cm.
-        scale: (N,) size against the canonical body.
-        rise: (N,) how far the root is raised (height_correction.py), in cm of the canonical body.
-        feet: where they are held; None leaves them alone.
+        scale: (N,) size relative to the canonical body.
+        rise: (N,) rise of the root (height_correction.py), in cm of the canonical body.
+        feet: foot-lock state; None for no foot locking.
     """
 
     offsets: Floats
@@ -82,13 +82,13 @@ class BodyArrays:
 
     @classmethod
     def of(cls, count: int, feet: bool = True) -> BodyArrays:
-        """Bodies of scale one, without bones yet."""
+        """Bodies of scale 1 whose offsets are still zero."""
         offsets = np.zeros((count, JOINT_COUNT, 3), np.float32)
         rise, locks = np.zeros(count, np.float32), FootLock(count) if feet else None
         return cls(offsets, np.ones(count, np.float32), rise, locks)
 
     def put(self, index: int, offsets: Floats, scale: float) -> None:
-        """Give one character another body (23, 3), whose past is forgotten."""
+        """Give one character another body with offsets (23, 3), and forget its past."""
         self.offsets[index], self.scale[index], self.rise[index] = offsets, scale, 0.0
         if self.feet is not None:
             self.feet.reset(index)

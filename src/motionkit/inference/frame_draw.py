@@ -1,4 +1,4 @@
-"""The network's Gaussians -> the next frame of every character, by draw_frames of frame_kernel.c."""
+"""Samples the next frame of every character from the network's Gaussians, by draw_frames of frame_kernel.c."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class FrameDraw:
     """Draws the next frames of B characters in place.
 
     Attributes:
-        space: what the model's features mean.
-        frame, presets, state: what is read and changed.
+        space: meaning of the normalised features.
+        frame, presets, state: arrays that a draw reads and changes.
     """
 
     def __init__(
@@ -30,12 +30,12 @@ class FrameDraw:
         self.space = FrameSpace(layout, model.fps, scaling.mean, scaling.std, blended_columns(layout))
         self.frame, self.presets, self.state = frame, presets, state
         self._noise = noise
-        self._network: NetworkStep | TorchStep | None = None  # that the call is bound to
+        self._network: NetworkStep | TorchStep | None = None  # network of the bound call
         self._call: Callable[[], None] | None = None
 
     @property
     def noise(self) -> Noise:
-        """How frames are drawn; may be changed between any two."""
+        """How frames are drawn; may change between frames."""
         return self._noise
 
     @noise.setter
@@ -43,7 +43,7 @@ class FrameDraw:
         self._noise, self._network = noise, None
 
     def draw(self, network: NetworkStep | TorchStep) -> None:
-        """Draw the frame that a network has just predicted."""
+        """Sample the frame that a network has just predicted."""
         network.log_sigma += self.presets.log_noise_scale
         if self._network is not network or self._call is None:
             self._network, self._call = network, self.bind(self.arrays(network))
@@ -52,12 +52,12 @@ class FrameDraw:
         self._call()
 
     def arrays(self, network: NetworkStep | TorchStep) -> DrawArrays:
-        """All that frames of a network are drawn from."""
+        """The arrays from which frames of a network are drawn."""
         prediction = Prediction(network.mean, network.log_sigma, network.contact_logits)
         return DrawArrays(prediction, self.space, self.state, self.presets, self.frame)
 
     def bind(self, arrays: DrawArrays) -> Callable[[], None]:
-        """What draws a frame from the arrays."""
+        """Return a function that draws a frame from the arrays."""
         return bind_draw(arrays, self.noise)
 
     @property

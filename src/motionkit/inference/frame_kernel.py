@@ -1,6 +1,6 @@
-"""frame_kernel.c and foot_kernel.c from Python: what is around the network's step.
+"""Python bindings of frame_kernel.c and foot_kernel.c: sampling, root corrections, kinematics and foot locking.
 
-The kernels read and write the arrays they are told of, which are to stay where they are.
+The kernels keep the addresses of their arrays, so the arrays must not move in memory.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class _Pose(Structure):
 
 @cache
 def frame_library() -> ctypes.CDLL:
-    """The shared library. Raises MotionkitError where the installation has none that fits."""
+    """Return the shared library. Raises MotionkitError if this installation has none of this version."""
     library = load_library(Path(__file__).resolve().parent / "_frame_kernel", "frame_kernel_version", VERSION)
     library.draw_frames.argtypes = [POINTER(_Draw), c_int64]
     library.pose_frames.argtypes = [POINTER(_Pose), c_int64]
@@ -103,7 +103,7 @@ def frame_library() -> ctypes.CDLL:
 
 
 def blended_columns(layout: str) -> Floats:
-    """Share of a type's velocity_blend per feature (276,): 0 for heights, because the floor stops a fall at once."""
+    """Share of velocity_blend per feature (276,): 0 for heights, because the floor stops a fall at once."""
     columns = feature_layout(layout).columns
     upright = [c.block in ("joint_positions", "joint_velocities") and c.component == 1 for c in columns]
     return 1.0 - np.array(upright, np.float32)
@@ -111,7 +111,7 @@ def blended_columns(layout: str) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What the network predicts of the next frame: mean and log_sigma (B, 276) normalised, contact logits (B, 4)."""
+    """The predicted next frame: mean and log_sigma (B, 276), normalised, and contact logits (B, 4)."""
 
     mean: Floats
     log_sigma: Floats
@@ -120,10 +120,11 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class FrameSpace:
-    """What the normalised features of a model mean.
+    """The meaning of a model's normalised features.
 
     Attributes:
-        layout: the version of the columns; fps: frames per second.
+        layout: version of the columns.
+        fps: frames per second.
         mean, std: (276,) of the features.
         blended: (276,) blended_columns.
     """
@@ -137,7 +138,7 @@ class FrameSpace:
 
 @dataclass(frozen=True, eq=False)
 class DrawArrays:
-    """What frames of B characters are drawn from, and what they become."""
+    """Inputs and outputs of drawing a frame of B characters."""
 
     prediction: Prediction
     space: FrameSpace
@@ -147,7 +148,7 @@ class DrawArrays:
 
 
 def draw_words(arrays: DrawArrays, noise: Noise) -> Structure:
-    """How draw_frames is told of the arrays, which it keeps no hold of, and of how noise is drawn."""
+    """Return the struct of draw_frames: noise filters, and addresses of the arrays, which it does not keep alive."""
     made, space, state, presets, frame = vars(arrays).values()
     strides = [array.strides[0] // 4 for array in (made.mean, made.contact_logits)]
     followed = (
@@ -174,7 +175,7 @@ def draw_words(arrays: DrawArrays, noise: Noise) -> Structure:
 
 
 def bind_draw(arrays: DrawArrays, noise: Noise) -> Callable[[], None]:
-    """What draws the next frame of all characters."""
+    """Return a function that draws the next frame of all characters."""
     return _call(frame_library().draw_frames, draw_words(arrays, noise), len(arrays.frame.x), arrays)
 
 
@@ -182,16 +183,16 @@ def bind_draw(arrays: DrawArrays, noise: Noise) -> Callable[[], None]:
 
 
 def reference_products(reference_rotations: Floats) -> Floats:
-    """Matrices (22, 4, 4) of the joints below the root: a row q times one is the product of its reference and q."""
+    """Matrices (22, 4, 4) of the joints below the root: a row quaternion q times one is (reference rotation) q."""
     rows = quat_multiply(reference_rotations[1:, None].astype(np.float32), np.eye(4, dtype=np.float32))
     return np.ascontiguousarray(rows)
 
 
 class PoseKernel:
-    """From frames of N characters to their bodies, raised and with feet held."""
+    """Poses frames of N characters, with root-height correction and foot locking."""
 
     def __init__(self, layout: str, reference_rotations: Floats, body: BodyArrays) -> None:
-        """reference_rotations: (23, 4); the arrays of body are read and changed at each call."""
+        """Take reference_rotations (23, 4), and the arrays of body, which each call reads and changes."""
         count = len(body.offsets)
         self.layout, self.body = layout, body
         self.references = reference_products(reference_rotations)
@@ -219,7 +220,7 @@ class PoseKernel:
         return rotations.copy(), root.copy(), positions.copy()
 
     def words(self, features: Floats, contacts: Floats, ground: Floats) -> Structure:
-        """How pose_frames is told of a frame and of the bodies, which it keeps no hold of."""
+        """Return the struct of pose_frames: addresses of the frame and the bodies, which it does not keep alive."""
         body, columns = self.body, feature_layout(self.layout)
         arrays = (self.references, body.offsets, body.scale, features, contacts, ground, *self.posed)
         assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in arrays)
@@ -233,11 +234,11 @@ class PoseKernel:
 
 
 def rises(layout: str, features: Floats, heights: Floats) -> Floats:
-    """How far to raise a body (T,) in the frames of a whole motion, in cm of the canonical body.
+    """Rise (T,) of the root by the root-height correction in a whole motion, in cm of the canonical body.
 
     Args:
         features: (T, 276) unnormalised.
-        heights: (T, 23) of all joints by forward kinematics, not raised, in cm of the canonical body.
+        heights: (T, 23) joint heights by forward kinematics before the correction, in cm of the canonical body.
     """
     given = [np.ascontiguousarray(array, np.float32) for array in (features, heights)]
     out, state = np.zeros(len(features), np.float32), np.zeros(1, np.float32)
@@ -263,7 +264,7 @@ def _feet(feet: FootLock) -> _Feet:
 
 
 def _call(function: Callable, words: Structure, rows: int, kept: object) -> Callable[[], None]:
-    """A call of the library for all rows; what the words point to is kept alive with it."""
+    """Return a call of the library for all rows, which keeps alive what the struct points to."""
     where, count = byref(words), c_int64(rows)
 
     def call() -> None:

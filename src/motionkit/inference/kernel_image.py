@@ -1,8 +1,8 @@
-"""The memory that the C kernels work on, as WebAssembly sees it: structs with 32-bit pointers among arrays.
+"""Writes the memory of the C kernels for WebAssembly: arrays, and structs with 32-bit pointers.
 
-What Python binds the kernels to on this machine is written out with other addresses, so that a page of JavaScript has
-only to load it, to fill in the arrays of a frame and to call. There are two parts: what all characters share, at a
-fixed address, and what each has of its own, at an address of its own, by which the pointers listed in moved are raised.
+A web page loads this image, fills in the arrays of a frame and calls the kernels. The image has two segments: constants
+that all characters share, at a fixed address, and the state of one character. The page copies the state for each
+character and adds the address of the copy to the pointers listed in `moved`.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ BASE = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class _Segment:
-    """Memory from an address on, and where in it which arrays of this process are."""
+    """Memory that starts at an address, and the places in it of this process's arrays."""
 
     base: int
     data: bytearray = field(default_factory=bytearray)
-    placed: list[tuple[int, int, int]] = field(default_factory=list)  # our address, bytes, its address
+    placed: list[tuple[int, int, int]] = field(
+        default_factory=list
+    )  # address here, bytes, address in the image
 
     def put(self, data: bytes, align: int = LINE) -> int:
         """Append bytes; returns their address."""
@@ -49,12 +51,12 @@ class KernelImage:
     """The memory of the kernels for any number of characters of a model.
 
     Attributes:
-        shared: what all characters share, at BASE.
-        own: what a character has of its own, after the frames of a start pose; addresses count from its beginning.
-        moved: places in own of pointers into own.
-        addresses: where the program is, and in own the structs and arrays that a page reads and writes.
-        fields: where in its struct a number is that a page writes; and position_bytes of one slot of the rings.
-        slot: of the rings that the last frame of the start pose is in.
+        shared: constants of all characters, at BASE.
+        own: state of one character after the frames of a start pose; its addresses count from 0.
+        moved: offsets in own of the pointers into own.
+        addresses: address of the program, and offsets in own of the structs and arrays that a page reads and writes.
+        fields: offsets in their structs of the numbers that a page writes, and position_bytes of one ring slot.
+        slot: ring slot of the last frame of the start pose.
     """
 
     shared: bytes
@@ -66,7 +68,7 @@ class KernelImage:
 
 
 def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
-    """The memory for characters with the default body, their weights in 16 bits.
+    """Return the memory for characters with the default body and weights in 16 bits.
 
     Raises:
         ModelError: for a network that the kernels cannot run.
@@ -118,19 +120,19 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
 
 
 class _Writer:
-    """Puts arrays and structs into both parts; structs come after all arrays they point into."""
+    """Writes arrays and structs into both segments; a struct comes after all arrays that it points to."""
 
     def __init__(self) -> None:
         self.shared, self.own = _Segment(BASE), _Segment(0)
         self.moved: list[int] = []
 
     def share(self, *arrays: NDArray) -> None:
-        """Put constants into the shared part."""
+        """Write constants into the shared segment."""
         for array in arrays:
             self._put(self.shared, array)
 
     def keep(self, array: NDArray) -> int:
-        """Put an array of a character's state into its part."""
+        """Write an array of a character's state; returns its address."""
         return self._put(self.own, array)
 
     def _put(self, segment: _Segment, array: NDArray) -> int:
@@ -140,7 +142,7 @@ class _Writer:
         return at
 
     def address_of(self, ours: int) -> tuple[int, bool]:
-        """The address there of one in this process, and whether it is in a character's part."""
+        """Return the address in the image of an address here, and whether it is in the character's segment."""
         for segment in (self.shared, self.own):
             for start, size, at in segment.placed:
                 if start <= ours < start + size:
@@ -148,7 +150,7 @@ class _Writer:
         raise AssertionError("a pointer to an array that was not put anywhere")
 
     def struct(self, words: Any, shared: bool = False) -> int:
-        """Put a struct, or an array of them; what it points to has been put before."""
+        """Write a struct, or an array of structs, whose targets are written already; returns its address."""
         segment = self.shared if shared else self.own
         pointers: list[int] = []
         at = segment.put(bytes(self._copy(words, 0, pointers)))
@@ -158,7 +160,7 @@ class _Writer:
         return at
 
     def _copy(self, value: Any, offset: int, pointers: list[int]) -> Any:
-        """A value of ctypes with the addresses there; notes where pointers into a character's part are."""
+        """Copy a ctypes value with addresses of the image; collects the offsets of pointers into own."""
         kind: Any = _narrow(value.__class__)
         if isinstance(value, Structure):
             out = kind()

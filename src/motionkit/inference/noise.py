@@ -20,9 +20,9 @@ NOISE_KINDS = ("mean", "sample", "correlated")
 class Noise:
     """How frames are drawn from the predicted Gaussians.
 
-    kind "mean" takes the mean, "sample" draws each frame independently (the paper's default), "correlated" draws
-    noise of the same variance that is correlated in time: white noise through two first-order filters, with
-    coefficients rho and smoothing. After one filter alone the steps would still be white, and the body would shake.
+    kind "mean" takes the mean. "sample" draws each frame independently (the paper's default). "correlated" draws noise
+    of the same variance that is correlated over time: white noise through two first-order filters with coefficients
+    rho and smoothing. After one filter alone the steps between frames would still be white, and the body would shake.
     """
 
     kind: str = "correlated"
@@ -36,31 +36,31 @@ class Noise:
 
     @property
     def filters(self) -> tuple[float, float, float, float]:
-        """The shares that each filter keeps of its last output and takes of its input: rho, share, smoothing, share."""
+        """For both filters, the share of the last output that is kept and the share of the input that is added."""
         if self.kind != "correlated":
             return 0.0, 1.0, 0.0, 1.0
         a, b = self.rho, self.smoothing
-        # What comes out has the variance of what goes in.
+        # The output has the variance of the input.
         variance = (1.0 - b) / (1.0 + b) * (1.0 + a * b) / (1.0 - a * b)
         return a, (1.0 - a * a) ** 0.5, b, (1.0 - b) / variance**0.5
 
 
 def default_noise(model: MotionModel) -> Noise:
-    """How frames of a model are drawn by default: of plain models at full sigma, as in the paper."""
+    """The default noise of a model; plain models sample at full sigma, as in the paper."""
     return Noise("sample", 1.0) if model.plain else Noise()
 
 
 class NoiseState:
-    """White noise of B characters, and the two filters it goes through.
+    """White noise of B characters and the states of its two filters.
 
     Attributes:
-        random: a generator for each, so that a character's motion does not depend on those beside it.
-        fresh: (B, 276) standard normal numbers of the coming frame.
+        random: one generator per character, so that its motion does not depend on the others.
+        fresh: (B, 276) standard normal numbers of the next frame.
         first, second: (B, 276) outputs of the filters at the last frame.
     """
 
     def __init__(self, batch: int, seed: int | Sequence[int]) -> None:
-        """seed: of the first character, the others count on from it; or one for each. Raises ControlError."""
+        """Seed the characters: with seed, seed + 1 and so on, or with one seed for each. Raises ControlError."""
         for each in seed if isinstance(seed, Sequence) else (seed,):
             check_seed(each)
         seeds = seed if isinstance(seed, Sequence) else range(seed, seed + batch)
@@ -68,16 +68,16 @@ class NoiseState:
         self.fresh, self.first, self.second = (np.zeros((batch, FEATURE_COUNT), np.float32) for _ in range(3))
 
     def start(self) -> None:
-        """Begin in the middle of the noise: filters that have run for long."""
+        """Set the filters to a state as after a long run."""
         self._draw(self.first)
         self.second[:] = self.first
 
     def renew(self) -> None:
-        """Draw the fresh numbers of the coming frame."""
+        """Draw fresh numbers for the next frame."""
         self._draw(self.fresh)
 
     def adopt(self, index: int, other: NoiseState) -> None:
-        """Go on, as one character, with the filters of the only one of another state."""
+        """Replace the filter state of one character by that of the only character of another NoiseState."""
         self.first[index], self.second[index] = other.first[0], other.second[0]
 
     def _draw(self, out: Floats) -> None:

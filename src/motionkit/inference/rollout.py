@@ -1,4 +1,4 @@
-"""Closed-loop synthesis: the network's output is its next input, controls are asked for at every frame."""
+"""Closed-loop synthesis: each output frame becomes the next input, with controls for every frame."""
 
 from __future__ import annotations
 
@@ -24,46 +24,47 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
-# Called with the frame number and the ground state (B, 3) root x, z, heading; answers the controls.
+# Takes the frame number and the ground state (B, 3), root x, z and heading; returns the controls of the frame.
 Controller = Callable[[int, Array], Controls]
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What came out: features (B, T, 276) unnormalised, contacts (B, T, 4) in [0, 1], ground (B, T, 3)."""
+    """Output of a roll-out: features (B, T, 276) unnormalised, contacts (B, T, 4) in [0, 1], ground (B, T, 3)."""
 
     features: Array
     contacts: Array
     ground: Array
 
     def first(self, frames: int) -> Rollout:
-        """The first frames of it."""
+        """The first frames of the roll-out."""
         return Rollout(self.features[:, :frames], self.contacts[:, :frames], self.ground[:, :frames])
 
 
 def phase_at(frame: float, phase_frames: float) -> float:
-    """Progress through performances of a length that follow each other; negative without a length."""
+    """Phase of a frame in performances of phase_frames one after another; -1 if phase_frames is 0."""
     return (frame / phase_frames) % 1.0 if phase_frames > 0 else -1.0
 
 
 class RolloutState:
-    """B characters in motion: step() moves all of them on by one frame.
+    """B characters in motion: step() moves all of them by one frame.
 
     Attributes:
         frame: the present frame.
-        controls: what was asked for, as the network takes it.
-        noise: how frames are drawn, and the random numbers of each character.
-        network: predicts the next frame; draws, which turns predictions into frames.
+        controls: control vectors and sampling presets of the present frame.
+        noise_state: random numbers and noise filters of each character.
+        network: predicts the next frame.
+        drawing: samples frames from the predictions.
     """
 
     def __init__(self, model: MotionModel, batch: int, noise: Noise, seed: int | Sequence[int] = 0) -> None:
-        """Set up the characters; start() gives them frames to go on from.
+        """Set up the characters; start() gives them their first frames.
 
         Args:
-            seed: of the first character's random numbers, the others count on from it; or one for each.
+            seed: seed of the first character, counted up for the others; or one seed for each.
 
         Raises:
-            ControlError: for a seed that is none.
+            ControlError: for an invalid seed.
         """
         self.model, self.batch = model, batch
         self.frame, self.controls = FrameArrays.of(batch), ControlInput(model, batch)
@@ -75,7 +76,7 @@ class RolloutState:
 
     @property
     def noise(self) -> Noise:
-        """How frames are drawn; may be changed between any two."""
+        """How frames are drawn; may change between frames."""
         return self.drawing.noise
 
     @noise.setter
@@ -96,14 +97,16 @@ class RolloutState:
         phase_frames: float | Sequence[float] = 0.0,
         controls: Controller | None = None,
     ) -> None:
-        """Prime with real frames: features (B, T, 276) unnormalised, contacts (B, T, 4), type weights (B, N).
+        """Prime the characters with recorded frames; the last of them becomes the present frame.
 
-        controls are asked for at each of these frames where they are known, for frames of one length; else they are
-        the types alone.
-
-        Frames may also be lists of B arrays (T, ...), each of a length of its own.
-        phase_frames is the length of a performance, of all or of each, if the frames are the beginning of one.
-        The last frame becomes the current one, at the place given by ground (B, 3), the origin by default.
+        Args:
+            features: (B, T, 276) unnormalised, or a list of B arrays (T, 276) of different lengths.
+            contacts: (B, T, 4), or a list as for features.
+            type_weights: (B, N).
+            ground: (B, 3) place of the last frame; the origin by default.
+            phase_frames: length of the performance that the frames begin, for all characters or for each; 0 for none.
+            controls: the controls of these frames, if they are known and all characters have as many frames; by
+                default the types alone.
         """
         lengths = [phase_frames] * self.batch if isinstance(phase_frames, (int, float)) else phase_frames
         if len({len(each) for each in features}) > 1:
@@ -142,7 +145,7 @@ class RolloutState:
         ground: Array | None = None,
         phase_frames: float = 0.0,
     ) -> None:
-        """Start one character anew, as start() does with all; the others go on. Shapes are those of a batch of one."""
+        """Restart one character as start() does, with arrays for a batch of one; the others go on."""
         if self._prime is None:
             self._prime = RolloutState(self.model, 1, self.noise)
             self._prime.network = self.network.alone()
@@ -160,7 +163,7 @@ class RolloutState:
             self.controls.keep_trajectory(self.network.trajectory)
 
     def advance(self, asked: Controls) -> FrameArrays:
-        """step() without copies: the frame it answers is overwritten by the next call."""
+        """Like step(), but without copies: the next call overwrites the returned frame."""
         frame = self.frame
         self.network.step(frame.x, frame.contacts, self.controls.take(asked, frame.x))
         self._keep_trajectory()
@@ -168,15 +171,14 @@ class RolloutState:
         return frame
 
     def step(self, asked: Controls) -> tuple[Array, Array, Array]:
-        """The next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3).
+        """Return the next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3).
 
         Raises ModelError for a frame that no BVH file could hold.
         """
         made = self.advance(asked)
         features, contacts, ground = made.features, made.contacts, made.ground
-        if not (
-            np.abs(features).max() <= MAX_NUMBER and np.abs(ground).max() <= MAX_NUMBER
-        ):  # NaN is neither
+        # The negation also catches NaN.
+        if not (np.abs(features).max() <= MAX_NUMBER and np.abs(ground).max() <= MAX_NUMBER):
             raise ModelError(
                 "the roll-out failed: the network predicts numbers that are not finite or far too large "
                 "(damaged weights, or a start unlike any motion)"
@@ -191,7 +193,7 @@ def run(
     progress: Callable[[int], None] | None = None,
     done: Callable[[], bool] | None = None,
 ) -> Rollout:
-    """Let a started state run on for some frames, or until done, which is called after every frame."""
+    """Run a started state for some frames, or until done() is true after a frame."""
     features, contacts, ground = [], [], []
     for t in range(frames):
         f, c, g = state.step(controller(t, state.ground))
@@ -206,7 +208,7 @@ def run(
 
 
 def rollout_motion(model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton) -> Motion:
-    """One character's motion by forward integration on a skeleton, raised to where its feet are unless it is plain."""
+    """Decode the motion of one character on a skeleton, with root-height correction unless the model is plain."""
     features, layout = rollout.features[index], model.config.layout
     motion = decode_motion(
         features, skeleton, model.fps, rollout.ground[index, 0], model.reference_rotations, layout
@@ -220,7 +222,7 @@ def rollout_motion(model: MotionModel, rollout: Rollout, index: int, skeleton: S
 
 
 def start_batch(seeds: list[StartPose]) -> tuple[Array, Array]:
-    """Seeds cut to the length of the shortest, from the end: features (B, T, 276), contacts (B, T, 4)."""
+    """Batch the last frames of start poses, as many as the shortest has: features (B, T, 276), contacts (B, T, 4)."""
     frames = min(len(seed.features) for seed in seeds)
     return (
         np.stack([seed.features[-frames:] for seed in seeds]),

@@ -1,10 +1,10 @@
-"""Root-slip correction: feet that stand hold the root.
+"""Settings of the root-slip correction, which subtracts the sliding of standing feet from the root's velocity.
 
-A frame says twice where its feet go over the ground: by the pose, and by the root's velocities. Both are drawn from
-Gaussians of their own, and where a reference was recorded on another trajectory than the one asked for, they disagree:
-feet slide. Part of that slide is subtracted from the root's velocities here, and so from the frame that the network
-sees next. No joint is turned; foot locking does that afterwards, and holds the root by the same weights
-(motion/leg_ik.py). frame_kernel.c and export/onnx_slip_correction.py do it.
+A frame gives the movement of its feet over the ground twice: by the pose, and by the root's velocity. Each is drawn
+from its own Gaussian. Where a reference was recorded on another trajectory than the wanted one, they disagree and the
+feet slide. Part of that sliding is subtracted from the root's velocity in the frame that the network sees next. The
+correction turns no joint. Foot locking turns joints afterwards, and weighs the feet in the same way (motion/leg_ik.py).
+frame_kernel.c and export/onnx_slip_correction.py compute it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from motionkit.features.layout import feature_layout
 from motionkit.motion.skeleton import FOOT_JOINTS
 
-# Foot joints hold where they are low: fully at FLOOR cm, not at all so many cm higher; in the order of FOOT_JOINTS.
+# Weights of foot joints fall from 1 at a height of FLOOR cm to 0 at REACHES cm above it, in the order of FOOT_JOINTS.
 FLOOR = 2.2
 REACHES = (10.85, 1.55, 10.85, 1.55)
-STIFFNESS = 60.0  # cm^2; the farther apart what holds is beside its root, the more it turns the body
-# cm in a frame of which only half is taken out, and ever less of more: what is so far off is a step.
-LIMIT = 0.5
+STIFFNESS = 60.0  # cm^2, added to the spread of standing joints: close together they turn the body little
+LIMIT = 0.5  # sliding (cm per frame) at which the correction halves; a larger movement is a step
 
 
 def foot_columns(layout: str) -> NDArray[np.intp]:

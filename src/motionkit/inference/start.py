@@ -1,4 +1,4 @@
-"""Frames to start from: the model's own seeds, or the beginning of a user's clip."""
+"""Frames that characters start from: start poses of the model, or the beginning of a user's clip."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ INIT_FRAMES = 87  # the receptive field; the paper's number for its comparisons
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Frames B characters start from: features (B, T, 276), contacts (B, T, 4), place of the last one (B, 3)."""
+    """First frames of B characters: features (B, T, 276), contacts (B, T, 4), place of the last frame (B, 3)."""
 
     features: Array
     contacts: Array
@@ -29,7 +29,7 @@ class Start:
 
 
 def type_start(model: MotionModel, kind: str, count: int = 1, choice: int = 0) -> Start:
-    """A start pose of a type for count characters, at the origin facing +Z; choice picks which, counted round.
+    """A start pose of a type for count characters, at the origin facing +Z; choice, modulo their number, picks it.
 
     Raises ControlError if the model has none.
     """
@@ -45,9 +45,9 @@ def type_start(model: MotionModel, kind: str, count: int = 1, choice: int = 0) -
 
 
 def on_body(model: MotionModel, start: Start, skeleton: Skeleton) -> Start:
-    """The same poses on another body, its root as much higher as its legs are longer: as if it had been recorded.
+    """Put the poses on another body, with root positions scaled by its leg length.
 
-    Models that are not shown bodies know only one, and get the start as it is.
+    The start stays as it is for models that do not take skeletons as input.
     """
     if not model.shows_bodies:
         return start
@@ -63,7 +63,7 @@ def on_body(model: MotionModel, start: Start, skeleton: Skeleton) -> Start:
 
 
 def _leg_reach(features: Array, layout: str) -> float:
-    """The length in cm of the left thigh and shin in the first of frames (T, 276)."""
+    """Length in cm of the left thigh plus shin in the first frame of features (T, 276)."""
     columns = {
         (c.joint, c.component): i
         for i, c in enumerate(feature_layout(layout).columns)
@@ -77,7 +77,7 @@ def _leg_reach(features: Array, layout: str) -> float:
 
 
 def clip_motion(model: MotionModel, path: str | Path | Motion) -> Motion:
-    """The first frames of a BVH file, any rig, or of a canonical motion in cm, at the model's rate.
+    """The first INIT_FRAMES frames, at the model's rate, of a BVH file of any rig or of a canonical motion in cm.
 
     Raises MotionkitError if the file cannot be used.
     """
@@ -91,9 +91,9 @@ def clip_motion(model: MotionModel, path: str | Path | Motion) -> Motion:
 
 
 def clip_start(model: MotionModel, path: str | Path | Motion, count: int) -> Start:
-    """The first frames of a BVH file, any rig, or of a canonical motion in cm, for count characters.
+    """The first frames of a BVH file of any rig, or of a canonical motion in cm, for count characters.
 
-    They go on where the last of the frames is.
+    The characters continue from the place of the last frame.
 
     Raises MotionkitError if the file cannot be used.
     """

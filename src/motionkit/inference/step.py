@@ -11,10 +11,11 @@ from motionkit.inference.step_kernel import StepKernel
 
 
 class NetworkStep:
-    """B independent characters; after step() the Gaussians of their next frames stand in mean and log_sigma.
+    """Predicts the next frames of B independent characters; every step() overwrites its results.
 
     Attributes:
-        mean, log_sigma: (B, 276), normalised; contact_logits: (B, 4). Overwritten by every step.
+        mean, log_sigma: (B, 276) Gaussians of the next frames, normalised.
+        contact_logits: (B, 4).
     """
 
     def __init__(self, kernel: StepKernel, batch: int) -> None:
@@ -23,12 +24,12 @@ class NetworkStep:
         self.mean, self.log_sigma = self.arrays.mean, self.arrays.log_sigma
         self.contact_logits = self.arrays.contact_logits
         self.before = np.zeros((batch, FEATURE_COUNT), np.float32)
-        self.slot = kernel.weights.config.window - 1  # place in the rings of the last frame
+        self.slot = kernel.weights.config.window - 1  # ring slot of the last frame
         self._run = kernel.bind(self.arrays)
 
     @property
     def bytes_per_character(self) -> int:
-        """Memory of the state of one character."""
+        """Memory of one character's state."""
         state = (self.arrays.keys, self.arrays.values, self.arrays.recent, self.before)
         return sum(array.nbytes for array in state) // self.batch
 
@@ -39,26 +40,26 @@ class NetworkStep:
     def reset(self, coming: int = 0) -> None:
         """Forget all frames of all characters.
 
-        coming: frames after which the rings stand at their last place, from where characters go on. Sums over a ring
-            run from its first place, so a character's last digits depend on where in it a frame is.
+        coming: frames after which the rings are at their last slot, where every character starts. Sums over a ring
+            begin at its first slot, so the slot of a frame changes the last digits.
         """
         self.arrays.forget()
         self.slot = (-1 - coming) % self.kernel.weights.config.window
 
     def adopt(self, row: int, other: object) -> None:
-        """Put the only character of another step, which has seen frames of its own, in place of one of these."""
+        """Replace one character by the only character of another step, with the frames it has seen."""
         assert isinstance(other, NetworkStep) and other.batch == 1
         self.arrays.adopt(row, other.arrays, self.slot - other.slot)
         self.before[row] = other.before[0]
 
     def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
-        """Take in a frame and predict the next: x (B, 276) normalised, contacts (B, 4), controls (B, C)."""
+        """Predict the next frame from x (B, 276) normalised, contacts (B, 4) and controls (B, C)."""
         self.arrays.take_in(x, contacts, controls)
         self.slot = (self.slot + 1) % self.kernel.weights.config.window
         self._run(self.slot)
         momentum = self.kernel.weights.momentum
         if momentum is not None:
             first = self.arrays.filled == 1
-            self.before[first] = x[first]  # nothing has moved yet at the first frame
+            self.before[first] = x[first]  # the first frame has no velocity
             self.mean += momentum * (x - self.before)
             self.before[:] = x

@@ -1,7 +1,7 @@
-"""The arrays of the network's step for a batch of characters, which step_kernel.c reads and writes.
+"""Arrays that step_kernel.c reads and writes for a batch of characters.
 
-Each attention layer keeps a ring of the last W keys and values, the first convolution its last inputs: constant work
-and memory per frame.
+Each attention layer keeps a ring of the last W keys and values, and the first convolution keeps its last inputs. So
+work and memory per frame are constant.
 
 Shape legend: B characters, P parts, L layers, D width, W window, K kernel, C controls.
 """
@@ -17,20 +17,21 @@ from motionkit.arrays import Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.step_weights import StepWeights
 
-TILE = 32  # outputs that the kernel sums together; rows are as wide as whole tiles
-INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT + 1  # a column of zeros at the end, for short parts
+TILE = 32  # outputs that the kernel sums together; rows are padded to whole tiles
+INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT + 1  # the last column is zero and pads parts with fewer inputs
 
 
 @dataclass(frozen=True, eq=False)
 class StepArrays:
-    """What a step reads and writes; the arrays stay where they are.
+    """Inputs, outputs and state of a step; the arrays must not move in memory.
 
     Attributes:
         keys, values: (B, 2, P, L, W, D) rings.
         recent: (B, K, 281) inputs, the newest last.
-        filled: (B,) frames seen, the coming one included.
-        controls: (B, C) of the coming frame.
-        out: (B, padded) mean, log sigma, and scratch behind them; contacts_out: (B, TILE), the first four count.
+        filled: (B,) frames seen, the new one included.
+        controls: (B, C) of the new frame.
+        out: (B, padded) mean, log sigma and scratch, in this order.
+        contacts_out: (B, TILE) contact logits in the first four columns.
     """
 
     keys: NDArray[np.float32]
@@ -58,7 +59,7 @@ class StepArrays:
         )
 
     def take_in(self, x: Floats, contacts: Floats, controls: Floats) -> None:
-        """Put in the coming frame: x (B, 276) normalised, contacts (B, 4), controls (B, C)."""
+        """Write the new frame: x (B, 276) normalised, contacts (B, 4), controls (B, C)."""
         self.recent[:, :-1] = self.recent[:, 1:]
         self.recent[:, -1, :FEATURE_COUNT] = x
         self.recent[:, -1, FEATURE_COUNT:-1] = contacts
@@ -66,12 +67,12 @@ class StepArrays:
         self.controls[:] = controls
 
     def forget(self) -> None:
-        """Begin before the first frame again; keys and values that are not filled are not read."""
+        """Return to the state before the first frame; unfilled keys and values are never read."""
         self.recent[:] = 0.0
         self.filled[:] = 0
 
     def adopt(self, row: int, other: StepArrays, turn: int) -> None:
-        """Put the only character of other arrays in place of one of these, its rings turned on by some places."""
+        """Replace one character by the only character of other arrays, with its rings rotated by `turn` slots."""
         self.keys[row] = np.roll(other.keys[0], turn, axis=-2)
         self.values[row] = np.roll(other.values[0], turn, axis=-2)
         self.recent[row], self.filled[row] = other.recent[0], other.filled[0]

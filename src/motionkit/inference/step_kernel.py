@@ -1,4 +1,4 @@
-"""step_kernel.c from Python: the shared library built when motionkit was installed, and weights in its order."""
+"""Python bindings of step_kernel.c, and the network's weights in the order of the kernel."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from motionkit.inference.step_weights import NORM_EPS, ModuleWeights, StepWeight
 from motionkit.native import cores, load_library, workers
 
 VERSION = 4  # of step_kernel.c
-LINE = 64  # bytes of a line of the cache
-# Characters that go through the network together, so that their activations stay near; more of them in large crowds,
-# of which each core takes its share, so that the weights are read less often.
+LINE = 64  # bytes of a cache line
+# Characters that run through the network together. Their activations stay in the cache with ROWS. Large crowds, split
+# over the cores, use up to MOST_ROWS, so that the weights are read less often.
 ROWS, MOST_ROWS = 16, 48
 
 
@@ -60,7 +60,7 @@ class _Frame(Structure):
 
 @cache
 def kernel_library() -> ctypes.CDLL:
-    """The shared library. Raises MotionkitError where the installation has none that fits."""
+    """Return the shared library. Raises MotionkitError if this installation has none of this version."""
     library = load_library(Path(__file__).resolve().parent / "_step_kernel", "step_kernel_version", VERSION)
     library.scratch_size.argtypes = [POINTER(_Program), c_int64]
     library.scratch_size.restype = c_int64
@@ -70,16 +70,16 @@ def kernel_library() -> ctypes.CDLL:
 
 
 class StepProgram:
-    """A network's weights laid out for the kernel, here or elsewhere (kernel_image.py).
+    """A network's weights in the layout of the kernel, to run here or in WebAssembly (kernel_image.py).
 
-    small stores them in 16 bits, as whole numbers times a scale per output: half the memory to read for
-    an error of at most 1 / 65534 of the largest weight of the output.
+    small stores them in 16 bits, as whole numbers times a scale per output. That halves the memory to read; the error
+    is at most 1 / 65534 of the largest weight of the output.
 
     Attributes:
-        words: what the kernel is told of them.
-        maps: the maps that words point to.
-        position: (W, 2, P, L, W, H) for every slot the bias of the places in the rings.
-        kept: the arrays that words and maps point into.
+        words: the struct of the network.
+        maps: the structs of its linear maps.
+        position: (W, 2, P, L, W, H) attention bias of every ring slot, for each slot of the new frame.
+        kept: the arrays that the structs point into.
     """
 
     def __init__(self, weights: StepWeights, small: bool = False) -> None:
@@ -116,17 +116,17 @@ class StepProgram:
         )
 
     def frame_words(self, arrays: StepArrays) -> _Frame:
-        """What the kernel is told of the arrays, for slot 0; it keeps no hold of them."""
+        """Return the struct of the arrays at slot 0; it does not keep the arrays alive."""
         told: list[NDArray] = [arrays.recent, arrays.keys, arrays.values, arrays.filled, arrays.controls]
         told += [self.position, arrays.out, arrays.contacts_out]
         assert all(array.flags.c_contiguous for array in told)
         return _Frame(*(array.ctypes.data for array in told), 0)
 
     def _module_maps(self, weights: ModuleWeights, layers: int) -> list[tuple[NDArray, _Map]]:
-        """Maps in the order of the kernel: part by part, layer by layer."""
+        """Return the linear maps in the order of the kernel: part by part, layer by layer."""
         maps = []
         heads, D = weights.position.shape[2], weights.out.shape[-1]
-        turn = np.arange(D).reshape(heads, -1).T.ravel()  # heads side by side
+        turn = np.arange(D).reshape(heads, -1).T.ravel()  # puts the heads of a channel side by side
         three = np.concatenate([turn, D + turn, 2 * D + turn])
         for part in range(len(weights.embed)):
             maps.append(self._map(weights.embed[part], weights.embed_bias[part]))
@@ -142,7 +142,7 @@ class StepProgram:
         return maps
 
     def _map(self, weight: Floats, bias: Floats | None) -> tuple[NDArray, _Map]:
-        """A map's tiles, and its description, which lacks their place."""
+        """Return the tiles of a linear map, and its struct without their address."""
         inputs, outputs = weight.shape
         weight = np.pad(weight, ((0, 0), (0, -outputs % TILE)))
         bias = None if bias is None else np.pad(bias, (0, -outputs % TILE))
@@ -157,7 +157,7 @@ class StepProgram:
         return np.ascontiguousarray(tiles), _Map(None, self._keep(scale), self._keep(bias), inputs, outputs)
 
     def _line_up(self, tiles: list[NDArray]) -> None:
-        """Give the maps their tiles: one after another as the kernel reads them, each row in a line of the cache."""
+        """Place the tiles one after another in reading order, aligned to cache lines, and set their addresses."""
         sizes = [array.nbytes for array in tiles]
         memory = np.zeros(sum(sizes) + LINE, np.uint8)
         memory = memory[-memory.ctypes.data % LINE :]
@@ -169,7 +169,7 @@ class StepProgram:
             place += array.nbytes
 
     def _keep(self, array: NDArray | None) -> int | None:
-        """The address of a contiguous copy that lives as long as this object."""
+        """Keep a contiguous copy as long as this object, and return its address."""
         if array is None:
             return None
         array = np.ascontiguousarray(array)
@@ -178,9 +178,9 @@ class StepProgram:
 
 
 class StepKernel(StepProgram):
-    """The same with the library that runs it, to be shared by any number of NetworkSteps.
+    """A StepProgram with the library that runs it; any number of NetworkSteps may share it.
 
-    Raises MotionkitError where the library is missing, ModelError for a network that it cannot run.
+    Raises MotionkitError if the library is missing, and ModelError for a network that it cannot run.
     """
 
     def __init__(self, weights: StepWeights, small: bool = False) -> None:
@@ -190,7 +190,7 @@ class StepKernel(StepProgram):
             raise ModelError(f"the compiled step cannot run a network of these sizes: {weights.config}")
 
     def bind(self, arrays: StepArrays) -> Callable[[int], None]:
-        """What does a step at a slot of the rings: keys, values, out and contacts_out of all characters."""
+        """Return a function that runs a step of all characters at a ring slot."""
         frame, batch = self.frame_words(arrays), len(arrays.filled)
         places = [self.position[slot].ctypes.data for slot in range(len(self.position))]
         program, call = byref(self.words), self._library.step
@@ -206,7 +206,7 @@ class StepKernel(StepProgram):
             frame.position, frame.slot = places[slot], slot
             if len(calls) == 1:
                 refused = call(*calls[0])
-            else:  # the library does not hold Python's lock
+            else:  # ctypes releases Python's lock, so threads run in parallel
                 refused = any(list(workers(cores()).map(lambda words: call(*words), calls)))
             if refused:
                 raise ModelError("the compiled step does not fit this network")
@@ -216,10 +216,10 @@ class StepKernel(StepProgram):
 
 
 def _in_pairs(tiles: Floats) -> NDArray[np.int32]:
-    """Tiles (..., 32) of numbers up to 32767 as (..., 16) pairs in 32 bits.
+    """Pack tiles (..., 32) of numbers up to 32767 into (..., 16) pairs of 32 bits.
 
-    The first of a pair takes the low 16 bits. The second is read as the whole 32 bits are, so it is rounded
-    to what lies nearest with those low bits after it, and nothing is lost by not masking them away.
+    The low 16 bits hold the first number of a pair. The kernel reads the second from all 32 bits without masking, so
+    the second is rounded with those low bits in mind, and no precision is lost.
     """
     low = np.rint(tiles[..., : TILE // 2]).astype(np.int64) & 0xFFFF
     high = np.rint(tiles[..., TILE // 2 :] - low / 65536.0).astype(np.int64)

@@ -1,15 +1,14 @@
-"""The network as a program for one frame: weights folded together once, so that a step has little to do.
+"""Folds the network's weights once into a short program for one frame.
 
-Everything that knows how the network is put together for streaming is here; inference/step.py and
-export/onnx_export.py run what this file packs. What is folded, all of it exact:
+inference/step.py and export/onnx_export.py run the packed weights. These folds are exact:
 
-- The mean is taken out of everything that is written into the residual stream, so that a layer norm is a
-  scaling by 1 / sqrt(sum of squares + D eps); the sqrt(D) it lacks is in the maps that follow it.
-- 1 / sqrt(E) is in the queries.
-- The control inputs of all layers of a module are one map of the embedded controls; the first block of it
-  is the concatenation of motion and controls.
-- Fusion and the embedding of the deep module are one map of all parts' shallow features, and the first
-  layer of the Foot-MLP goes along in the products that see its inputs.
+- Every map into the residual stream has outputs without a mean. So a layer norm is a scaling by
+  1 / sqrt(sum of squares + D eps); the maps after it contain the missing sqrt(D).
+- The queries contain 1 / sqrt(E).
+- One map of the embedded controls makes the control inputs of all layers of a module. Its first block also
+  concatenates motion and controls.
+- One map of all parts' shallow features does both fusion and the embedding of the deep module.
+- The first layer of the Foot-MLP is part of the products that read its inputs.
 
 Shape legend: P parts, L layers, D width, F hidden, C controls, H heads, W window, K kernel, N inputs of a part.
 """
@@ -39,11 +38,11 @@ class ModuleWeights:
         embed: (P, K N, D) for the shallow module, (P, P D, D) from all parts' features for the deep one.
         embed_bias: (P, D).
         controls, controls_bias: (P, C, Dc), (P, Dc) embedding of the control vector.
-        layer_controls: (P, Dc, L D) what the embedded controls add to the input of each layer, or
-            (P, Dc, D) if they only enter at the first.
-        qkv, qkv_bias: (L, P, D, 3 D), (L, P, 3 D) of a norm without its sqrt(D).
+        layer_controls: (P, Dc, L D) from the embedded controls to the input of each layer, or (P, Dc, D) if
+            they enter only the first layer.
+        qkv, qkv_bias: (L, P, D, 3 D), (L, P, 3 D) after a norm without its sqrt(D).
         out: (L, P, D, D).
-        inner, inner_bias: (L, P, D, F), (L, P, F) of a norm without its sqrt(D).
+        inner, inner_bias: (L, P, D, F), (L, P, F) after a norm without its sqrt(D).
         outer: (L, P, F, D).
         position: (L, P, H, W) bias per distance in frames.
     """
@@ -64,15 +63,15 @@ class ModuleWeights:
 
 @dataclass(frozen=True, eq=False)
 class StepWeights:
-    """All that a step needs.
+    """The packed weights of a step.
 
     Attributes:
-        columns: (P, N) where each part's inputs stand in features, contacts and one zero.
+        columns: (P, N) columns of each part's inputs among features, contacts and one zero.
         shallow, deep: the modules.
-        contact_shallow: (P D, M) the share of shallow features in the hidden layer of the Foot-MLP.
-        head, head_bias: (P D, 552 + M), (552 + M,) mean, log sigma and that hidden layer from deep features.
-        contact, contact_bias: (M, 4), (4,).
-        momentum: (276,) share of the last step of the input that is added to the mean, or None.
+        contact_shallow: (P D, M) from shallow features to the hidden layer of the Foot-MLP.
+        head, head_bias: (P D, 552 + M), (552 + M,) from deep features to mean, log sigma and that hidden layer.
+        contact, contact_bias: (M, 4), (4,) from the hidden layer to the contact logits.
+        momentum: (276,) share of the input's last change that is added to the mean, or None.
     """
 
     config: ModelConfig
@@ -88,7 +87,7 @@ class StepWeights:
 
 
 def why_not_packable(config: PredictorConfig) -> str | None:
-    """What in a config keeps it from being run frame by frame on packed weights, None if nothing does."""
+    """Return why a config cannot run on packed weights; None if it can."""
     if not isinstance(config, ModelConfig):
         return f"{config.architecture} is not a part transformer"
     if config.controls != "extended":
@@ -101,10 +100,10 @@ def why_not_packable(config: PredictorConfig) -> str | None:
 
 
 def pack(network: NetworkWeights) -> StepWeights:
-    """Fold a network's weights into a step.
+    """Fold a network's weights into those of a step.
 
     Raises:
-        ModelError: for a config that cannot be folded, with the reason.
+        ModelError: the config cannot be folded; the message gives the reason.
     """
     config = network.config
     reason = why_not_packable(config)
@@ -115,7 +114,7 @@ def pack(network: NetworkWeights) -> StepWeights:
     P, D = len(columns), config.width
     root = math.sqrt(D)
     embed = (network["shallow.embed.weight"] * embedding_mask(config)).astype(np.float64)
-    # Deep inputs are s_p + fusion(others): one map of all parts' features, which come without their sqrt(D).
+    # Deep inputs are s_p + fusion(others): one map of all parts' features, which lack their sqrt(D).
     fused = np.eye(P * D).reshape(P * D, P, D).swapaxes(0, 1).copy()
     fusion, fusion_bias = network.get("fusion.weight"), network.get("fusion.bias")
     if fusion is not None:
@@ -162,7 +161,7 @@ def _pack_module(network: NetworkWeights, module: str, embed: Doubles, bias: Dou
         whole = [network[f"{module}.layers.{i}.{name}"] for i in range(config.layers)]
         return np.stack(whole).astype(np.float64)
 
-    # The stream is motion beside the first of the embedded controls; then what the first layer adds.
+    # The stream holds the motion and the first embedded controls; the first layer adds its control input.
     beside = np.zeros((P, Dc, D))
     beside[:, :beside_count, D - beside_count :] = np.eye(beside_count)
     controls = [beside]
@@ -189,7 +188,7 @@ def _pack_module(network: NetworkWeights, module: str, embed: Doubles, bias: Dou
 
 
 def _centred(weight: Doubles) -> Doubles:
-    """A map whose outputs have no mean."""
+    """Remove the mean of a map's outputs."""
     return weight - weight.mean(axis=-1, keepdims=True)
 
 

@@ -1,4 +1,4 @@
-"""How a network is run frame by frame: packed, by step_kernel.c, where it can be, else by torch."""
+"""Chooses how a network runs frame by frame: packed, by step_kernel.c, where possible, else by torch."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 
 class TorchStep:
-    """NetworkStep for networks that cannot be packed: a stream of the network for each character.
+    """The counterpart of NetworkStep for networks that cannot be packed: one torch stream per character.
 
-    Raises ModelError where torch is not installed.
+    Raises ModelError if torch is not installed.
     """
 
     def __init__(
         self, network: NetworkWeights, batch: int, random: Sequence[np.random.Generator] = ()
     ) -> None:
-        """random: a generator for each character, from which networks with a latent_size draw."""
+        """Take in random one generator per character; networks with a latent_size draw from it."""
         try:
             self.network: Predictor = network_class(network.config.architecture).from_weights(network)
         except ModelError:
@@ -50,17 +50,17 @@ class TorchStep:
         return TorchStep(self.weights, 1)
 
     def reset(self, coming: int = 0) -> None:
-        """Forget all frames of all characters; of the next `coming` recorded ones only the last's prediction counts."""
+        """Forget all frames. Of the next `coming` recorded frames, only the prediction of the last is used."""
         for stream in self.streams:
             stream.reset(coming)
 
     def adopt(self, row: int, other: object) -> None:
-        """Put the only character of another step in place of one of these."""
+        """Replace one character by the only character of another step."""
         assert isinstance(other, TorchStep)
         self.streams[row], other.streams = other.streams[0], [self.network.stream(1)]
 
     def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
-        """Take in a frame and predict the next: x (B, 276) normalised, contacts (B, 4), controls (B, C)."""
+        """Predict the next frame from x (B, 276) normalised, contacts (B, 4) and controls (B, C)."""
         import torch
 
         for i, stream in enumerate(self.streams):
@@ -75,7 +75,7 @@ class TorchStep:
                 self.trajectory[i] = made.trajectory_mean[0].numpy()
 
     def _latent(self, row: int) -> Floats:
-        """Normal numbers (1, Z) for one character; zeros, the mean, without a generator."""
+        """Normal numbers (1, Z) for one character; zeros, their mean, without a generator."""
         size = (1, self.network.latent_size)
         if row >= len(self.random):
             return np.zeros(size, np.float32)
@@ -85,7 +85,7 @@ class TorchStep:
 def stepper(
     network: NetworkWeights, batch: int, random: Sequence[np.random.Generator] = ()
 ) -> NetworkStep | TorchStep:
-    """The way to run a network frame by frame; random as in TorchStep."""
+    """Return the step that runs a network frame by frame; random is as in TorchStep."""
     if why_not_packable(network.config) is not None:
         return TorchStep(network, batch, random)
     if network not in _PACKED:
@@ -93,5 +93,5 @@ def stepper(
     return NetworkStep(_PACKED[network], batch)
 
 
-# What networks were packed into, once for all characters, for as long as they live.
+# Kernels by network, so that each network is packed once for all characters.
 _PACKED: WeakKeyDictionary[NetworkWeights, StepKernel] = WeakKeyDictionary()

@@ -1,8 +1,8 @@
-"""The one table of network architectures: how a model file's config becomes a network.
+"""The table of network architectures: it turns the config of a model file into a network.
 
-A new architecture is one file with a config and a Predictor (models/predictor.py). The part transformer is the one that
-motionkit ships; all others are entry points of the group GROUP, as a package's own plug-ins are. The part transformer
-has no "architecture" in its config, because it was the only one.
+A new architecture is one file with a config and a Predictor (models/predictor.py). The part transformer is built in;
+all others are entry points of the group GROUP, as plug-ins are. The config of the part transformer has no
+"architecture", because it was once the only one.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from motionkit.models.predictor import Predictor
 
 PART_TRANSFORMER = "part-transformer"
-GROUP = "motionkit.architectures"  # of entry points
-# Architecture to its Predictor, as an entry point names one. Packages are only asked for names that are not here.
+GROUP = "motionkit.architectures"  # group of entry points
+# Architecture to its Predictor, written as in an entry point. Packages are searched only for other names.
 ARCHITECTURES: dict[str, str] = {PART_TRANSFORMER: "motionkit.models.network:PartTransformer"}
 
 
 def entry_point(architecture: str) -> EntryPoint | None:
-    """Return where the class of an architecture is; None for an unknown one."""
+    """Return the entry point of an architecture's class; None for an unknown architecture."""
     if architecture in ARCHITECTURES:
         return EntryPoint(architecture, ARCHITECTURES[architecture], GROUP)
     return next(iter(entry_points(group=GROUP, name=architecture)), None)
@@ -59,7 +59,7 @@ def build(config: PredictorConfig, control_size: int) -> Predictor:
 
 
 def built_shapes(config: PredictorConfig, control_size: int) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of a network's weights by name; builds it without memory for them."""
+    """Return the shapes of a network's weights by name; builds the network without memory for them."""
     import torch
 
     with torch.device("meta"):

@@ -1,7 +1,7 @@
 """Causal attention over a short window of frames: exact, and linear in time.
 
-Blocks of 16 queries are multiplied with the 16 + W - 1 keys they can see, in plain matrix products. The cost grows
-with the length; with a full mask it would grow with its square.
+Plain matrix products multiply blocks of 16 queries with the 16 + W - 1 keys that they can see. So the cost is linear in
+the length; with a full mask it would be quadratic.
 Shape legend: P parts, B batch, T frames, D width, H heads, E width of a head, W window.
 """
 
@@ -32,7 +32,7 @@ class LocalAttention(nn.Module):
         self.offset_bias = nn.Parameter(torch.zeros(parts, heads, window)) if bias else None
 
     def forward(self, x_PBTD: Tensor, residual: Tensor, query: Tensor | None = None) -> Tensor:
-        """Attend from frames x, or from a query (P, B, T, D) of other frames, to frames x, and add to the residual."""
+        """Attend from frames x, or from other features `query` (P, B, T, D), to frames x, and add to the residual."""
         if query is None and can_attend(x_PBTD, self.heads, self.window):
             none = x_PBTD.new_zeros(x_PBTD.shape[0], self.heads, self.window, dtype=torch.float32)
             return self._by_kernel(x_PBTD, residual, none if self.offset_bias is None else self.offset_bias)
@@ -53,7 +53,7 @@ class LocalAttention(nn.Module):
         return self.out(mixed.transpose(2, 3).reshape(P, B, T, D), residual)
 
     def _by_kernel(self, x_PBTD: Tensor, residual: Tensor, offset_bias: Tensor) -> Tensor:
-        """The same by the C kernel, which wants the heads of a channel side by side."""
+        """Compute forward() with the C kernel, which needs the heads of a channel side by side."""
         P, B, T, D = x_PBTD.shape
         H, E = self.heads, D // self.heads
         assert self.qkv.bias is not None
@@ -71,7 +71,7 @@ class LocalAttention(nn.Module):
         return torch.cat([tails, x], dim=-2)
 
     def _mask(self, parts: int, blocks: int, device: torch.device) -> Tensor:
-        """Return a mask to add to (P, B, H, blocks, BLOCK, keys): the bias inside the window, -inf outside."""
+        """Return a mask to add to scores (P, B, H, blocks, BLOCK, keys): the bias in the window, -inf outside."""
         reach = self.window - 1
         query = torch.arange(BLOCK, device=device)[:, None]
         key = torch.arange(BLOCK + reach, device=device)[None, :] - reach
@@ -93,10 +93,10 @@ class LocalAttention(nn.Module):
 
         Args:
             x_PBD: the new frame.
-            residual: (P, B, D) the result is added to this.
+            residual: (P, B, D) to which the result is added.
             keys, values: (P, B, H, W, E) rings, changed in place.
-            slot: place of this frame in the ring.
-            bias: (P, 1, H, 1, W) bias of each place in the ring; -inf for empty places.
+            slot: ring slot of this frame.
+            bias: (P, 1, H, 1, W) bias of each ring slot; -inf for empty slots.
         """
         P, B, D = x_PBD.shape
         H, E = self.heads, D // self.heads

@@ -1,4 +1,4 @@
-"""attention_kernel.c from torch: attention over a short window on a CPU, with its gradients."""
+"""Torch bindings of attention_kernel.c: attention over a short window on a CPU, with its gradients."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from torch.autograd.function import once_differentiable
 from motionkit.native import load_library, workers
 
 VERSION = 1  # of attention_kernel.c
-HEADS = 8  # that lie side by side in a vector
-MOST_PLACES = 64  # of a window
+HEADS = 8  # heads, which lie side by side in a vector
+MOST_PLACES = 64  # longest window in frames
 FORMATS = (torch.float32, torch.bfloat16)
 
 
@@ -32,7 +32,7 @@ class _Attention(Structure):
 
 @cache
 def attention_library() -> ctypes.CDLL:
-    """The shared library. Raises MotionkitError where the installation has none that fits."""
+    """Return the shared library. Raises MotionkitError if this installation has none of this version."""
     path = Path(__file__).resolve().parent / "_attention_kernel"
     library = load_library(path, "attention_kernel_version", VERSION)
     for call in (library.attention_forward, library.attention_backward):
@@ -50,9 +50,9 @@ def attend(qkv: Tensor, bias: Tensor, position: Tensor) -> Tensor:
     """Return the attention (P, B, T, E, 8) of each frame to itself and the W - 1 frames before.
 
     Args:
-        qkv: (P, B, T, 3, E, 8) queries, keys and values without bias, the heads last; float32 or bfloat16.
-        bias: (P, 3, E, 8) to be added to qkv.
-        position: (P, W, 8) added to the scores, by distance in frames.
+        qkv: (P, B, T, 3, E, 8) queries, keys and values without bias, heads last; float32 or bfloat16.
+        bias: (P, 3, E, 8) to add to qkv.
+        position: (P, W, 8) to add to the scores, by distance in frames.
     """
     return _Attend.apply(qkv, bias, position)
 

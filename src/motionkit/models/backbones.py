@@ -1,4 +1,4 @@
-"""What stands in for attention layers in two of the paper's ablations (table 8): non-local blocks and LSTMs.
+"""Backbones that replace attention layers in two of the paper's ablations (table 8): non-local blocks and LSTMs.
 
 Shape legend: P parts, B batch, T frames, D width.
 """
@@ -19,10 +19,10 @@ LstmState = list[tuple[Tensor, Tensor]]
 
 
 class NonLocalLayer(nn.Module):
-    """A bottleneck residual block with a causal convolution, in some layers with a non-local operation after it.
+    """A bottleneck residual block with a causal convolution; in some layers a non-local operation follows.
 
-    He et al. 2016 and Wang et al. 2018, in one dimension: the operation is the embedded Gaussian, one softmax over the
-    frame and the W - 1 frames before it.
+    It follows He et al. 2016 and Wang et al. 2018, in one dimension. The operation is the embedded Gaussian: a softmax
+    over the frame and the W - 1 frames before it.
     """
 
     def __init__(self, parts: int, config: ModelConfig, non_local: bool) -> None:
@@ -47,7 +47,7 @@ class NonLocalLayer(nn.Module):
 
 
 class LstmLayers(nn.Module):
-    """Four LSTM layers per part, with a state that is carried from frame to frame."""
+    """Four LSTM layers per part; their state passes from frame to frame."""
 
     def __init__(self, parts: int, config: ModelConfig) -> None:
         super().__init__()
@@ -59,7 +59,7 @@ class LstmLayers(nn.Module):
         return self.run(x_PBTD, None)[0]
 
     def run(self, x_PBTD: Tensor, states: LstmState | None) -> tuple[Tensor, LstmState]:
-        """Return features (P, B, T, D) after the frames, and the states to go on from."""
+        """Return features (P, B, T, D) and the states after the last frame."""
         made = [
             lstm(x.to(lstm.weight_hh_l0.dtype), None if states is None else states[i])
             for i, (lstm, x) in enumerate(zip(self.parts, x_PBTD, strict=True))

@@ -1,4 +1,4 @@
-"""What a training step works on: a batch of windows, and the meaning of their normalised features."""
+"""Input of a training step: a batch of windows, and the meaning of their normalised features."""
 
 from __future__ import annotations
 

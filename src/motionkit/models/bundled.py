@@ -1,4 +1,4 @@
-"""The model that comes with motionkit."""
+"""Loads the model that comes with motionkit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from motionkit.errors import ModelError
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 
-BUNDLED = "bundled"  # in place of a path
+BUNDLED = "bundled"  # name of the bundled model in place of a path
 OWN_REFERENCES = "own"
 BUNDLED_MODEL = Path(__file__).resolve().parent.parent / "assets" / "motionkit-free.safetensors"
 
@@ -24,25 +24,25 @@ def load_bundled_model() -> MotionModel:
 
 
 def open_model(path: str | Path | None = None, reference: str = "auto") -> MotionModel:
-    """The model in a file; the bundled model for None and for the word "bundled".
+    """Open a model file; None and "bundled" open the bundled model.
 
     Args:
         reference: "auto", or "none" to leave out its reference recordings.
 
     Raises:
-        ModelError: the file is no model.
+        ModelError: the file is not a model.
     """
     model = load_bundled_model() if path is None or str(path) == BUNDLED else load_model(path)
     return model.with_reference(reference)
 
 
 def reference_rotations(references: str | Path, layout: str) -> Array | None:
-    """The reference rotations (23, 4) of a model, for a dataset of a layout; None for "own".
+    """The reference rotations (23, 4) of a model for a dataset; None if the dataset must compute its own.
 
-    A dataset of a layout that the bundled model does not have cannot be trained from it, and gets its own.
+    That is so for "own", and for the bundled model if its layout is another one.
 
     Raises:
-        ModelError: the file is no model, or a model of another layout.
+        ModelError: the file is not a model, or a model of another layout.
     """
     if str(references) == OWN_REFERENCES:
         return None

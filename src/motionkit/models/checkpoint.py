@@ -1,8 +1,8 @@
-"""A trained model as one safetensors file that needs nothing else to run. No pickle anywhere.
+"""Reads and writes a trained model as one safetensors file, without pickle; it needs nothing else to run.
 
-Tensors: the network's weights under "network.", scaling, reference rotations, bodies, start poses and reference clips.
-The header's metadata holds one JSON document with config, types, rate, characters and the data card. Files of the
-first releases, which have other names for some of it (former_names.py), are read too.
+The tensors are the network's weights under "network.", scaling, reference rotations, bodies, start poses and reference
+clips. The metadata of the header holds a JSON document with config, types, rate, characters and the data card. Files of
+the first releases use other names (former_names.py) and can still be read.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from motionkit.names import nfc
 from motionkit.version import __version__
 
 FORMAT = "motionkit-model-4"
-MOST_BYTES = 256 * 2**20  # of a model file; the bundled one has 13 MB
+MOST_BYTES = 256 * 2**20  # largest model file; the bundled one has 13 MB
 PRESET_FIELDS = tuple(field.name for field in fields(SamplingPreset))
 
 
 def model_arrays(model: MotionModel, half: bool) -> dict[str, Array]:
-    """All arrays of a model by the names they have in its file."""
+    """All arrays of a model by their names in its file."""
     weight = np.float16 if half else np.float32
     arrays: dict[str, Array] = {f"network.{n}": a.astype(weight) for n, a in model.network.arrays.items()}
     arrays["scaling.mean"], arrays["scaling.std"] = model.scaling.mean, model.scaling.std
@@ -65,13 +65,13 @@ def model_arrays(model: MotionModel, half: bool) -> dict[str, Array]:
             arrays[f"{key}:ground"] = start.ground
         for i, clip in enumerate(kind.reference_clips):
             key = f"reference_clip.{i}.{name}"
-            arrays[f"{key}:poses"] = clip.poses.astype(np.float16)  # of unit size, only the network sees them
+            arrays[f"{key}:poses"] = clip.poses.astype(np.float16)  # 16 bits suffice for values of unit size
             arrays[f"{key}:ground"], arrays[f"{key}:phases"] = clip.ground, clip.phases
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
 
 
 def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None:
-    """Write a model file, whole or not at all; half stores the weights in 16 bits."""
+    """Write a model file atomically; half stores the weights in 16 bits."""
     types = model.types
     gaits = {name: kind.gait for name, kind in types.items()}
     header = {
@@ -96,13 +96,13 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
 
 
 def _presets(types: Mapping[str, MotionType], field: str) -> dict[str, float]:
-    """One field of the sampling presets, of the types that have it."""
+    """One field of the sampling presets, for the types that have it."""
     values = {name: getattr(kind.preset, field) for name, kind in types.items()}
     return {name: value for name, value in values.items() if value is not None}
 
 
 def _plain(value: Any) -> Any:
-    """A value of a card as JSON knows it: NaN and infinite numbers, such as a loss that went astray, become null."""
+    """Convert a value of a card to plain JSON; NaN and infinite numbers, such as a diverged loss, become null."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
@@ -111,14 +111,14 @@ def _plain(value: Any) -> Any:
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
-    """A model file's metadata without its weights; raises ModelError if it is not one."""
+    """Read a model file's metadata without its weights; raises ModelError if it is not a model file."""
     with _open_model(path) as file:
         return file.metadata
 
 
 @contextmanager
 def _open_model(path: str | Path) -> Iterator[TensorFile]:
-    """A model file of this release, its header and tensors checked; faults name the file."""
+    """Open a model file and check its header and tensors; errors name the file."""
     with open_tensors(path, "motionkit", "a motionkit model", MOST_BYTES) as file:
         header = file.metadata
         if not isinstance(header, dict) or header.get("format") not in (FORMAT, FORMER_FORMAT):
@@ -142,7 +142,7 @@ def _open_model(path: str | Path) -> Iterator[TensorFile]:
 
 
 def load_model(path: str | Path) -> MotionModel:
-    """Read a model file, ready to synthesize; raises ModelError if it is not one or is damaged."""
+    """Read a model file; raises ModelError if it is not a model file or is damaged."""
     with _open_model(path) as file:
         header, tensors = file.metadata, file.read_all()
         check_values(tensors.items())

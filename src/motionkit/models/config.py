@@ -11,8 +11,8 @@ from motionkit.features.control import CONTROL_KINDS
 from motionkit.features.layout import DEFAULT_LAYOUT, LAYOUTS
 from motionkit.models.parts import PARTITIONS
 
-# Allowed values of a config: names, and ranges of numbers. Model files may come from untrusted sources, and sizes
-# determine memory and time. attention.py works in blocks of 16 frames, so a window has at most 17.
+# Allowed names and ranges of numbers in a config. Model files may come from untrusted sources, and sizes determine
+# memory and time. A window has at most 17 frames, because attention.py works in blocks of 16.
 CHOICES: dict[str, tuple[str, ...]] = {
     "partition": tuple(PARTITIONS),
     "layout": tuple(LAYOUTS),
@@ -43,8 +43,7 @@ RANGES: dict[str, tuple[float, float]] = {
 }
 
 
-# Of the non-local backbone: frames of the causal convolution in a residual block, and after how many blocks a
-# non-local operation follows.
+# For the non-local backbone: frames of the causal convolution in a residual block, and blocks per non-local operation.
 RESIDUAL_KERNEL, NON_LOCAL_EVERY = 3, 2
 
 
@@ -67,7 +66,7 @@ class PredictorConfig(Protocol):
         ...
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values; "architecture" is among them, but for the part transformer."""
+        """Plain values, with "architecture" for all networks but the part transformer."""
         ...
 
 
@@ -75,9 +74,9 @@ class PredictorConfig(Protocol):
 class Embedding:
     """How the motion and the controls enter the attention layers."""
 
-    control_width: int = 32  # channels of width for the embedded controls; the motion has the others
-    control_embedding: int = 32  # channels of the embedded controls; all of them enter every layer
-    shared_channels: int = 24  # first channels of the motion, which see the shared joints only
+    control_width: int = 32  # channels of the stream for the embedded controls; the motion has the others
+    control_embedding: int = 32  # channels of the embedded controls; layer_controls gives all to every layer
+    shared_channels: int = 24  # first channels of the motion, which see only the shared joints
     layer_controls: bool = True  # whether the embedded controls also enter every layer
 
 
@@ -92,9 +91,9 @@ class Dropout:
 
 @dataclass(frozen=True)
 class Variant:
-    """Which network it is: the paper's, its ablations, or ours."""
+    """Choice of the network: that of the paper, its ablations, or ours."""
 
-    partition: str = "two"  # body parts, see models/parts.py
+    partition: str = "two"  # body parts (models/parts.py)
     position: str = "bias"  # "bias": learned per head and offset, can stream; "sinusoidal": the paper's
     norm: str = "pre"  # "pre" or "post" (Vaswani et al. 2017)
     fusion: str = "linear"  # "linear" (paper), "none", or "cross-attention" (the paper's ablation)
@@ -103,10 +102,10 @@ class Variant:
 
 @dataclass(frozen=True)
 class Head:
-    """What is read from the deep features: the Gaussian of the next frame, contacts, consistency."""
+    """Outputs from the deep features: the Gaussian of the next frame, contacts, consistency."""
 
     head_leak: float = 0.8  # mean = head_leak x input pose + output; 0 is the paper's absolute head
-    head_momentum: bool = False  # whether the mean adds a learned share, per column, of the last step
+    head_momentum: bool = False  # whether the mean adds a learned share, per column, of the last velocity
     log_sigma_min: float = -5.0  # in normalised units (paper: sigma > 1e-4)
     log_sigma_max: float = 2.0
     contact_hidden: int = 64  # hidden channels of the Foot-MLP
@@ -122,7 +121,7 @@ class ModelConfig:
     """
 
     layout: str = DEFAULT_LAYOUT  # version of the 276 columns
-    controls: str = "extended"  # control signals; with "paper" the predicted trajectory is fed back
+    controls: str = "extended"  # control signals; "paper" feeds the predicted trajectory back
     width: int = 128  # channels of each part
     heads: int = 8  # attention heads
     ffn: int = 256  # hidden channels of each feed-forward layer
@@ -153,14 +152,14 @@ class ModelConfig:
 
     @property
     def architecture(self) -> str:
-        """The name of the network these sizes belong to (models/architectures.py)."""
+        """The name of the network (models/architectures.py)."""
         return "part-transformer"
 
     @property
     def receptive_field(self) -> int:
         """Number of frames that influence a prediction: the paper's TRL, 87 by default.
 
-        An LSTM carries its state on, so that all frames before do; its number is that of attention.
+        All earlier frames influence an LSTM; it gets the number of attention.
         """
         reach = self.window - 1
         steps = 2 * self.layers * reach
@@ -170,7 +169,7 @@ class ModelConfig:
         return (self.kernel - 1) + 1 + steps + fused
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plain values of all groups side by side, for a model file."""
+        """Return the plain values of all groups in one dict, for a model file."""
         values: dict[str, Any] = {}
         for name, value in asdict(self).items():
             values |= value if name in GROUPS else {name: value}
@@ -206,7 +205,7 @@ GROUPS: dict[str, Any] = {"variant": Variant, "embedding": Embedding, "dropout":
 
 @cache
 def _defaults() -> dict[str, Any]:
-    """Return the default of every field, the groups' side by side."""
+    """Return the default of every field of the config and its groups."""
     kinds = (ModelConfig, *GROUPS.values())
     return {f.name: f.default for kind in kinds for f in fields(kind) if f.name not in GROUPS}
 

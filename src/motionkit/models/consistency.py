@@ -1,4 +1,4 @@
-"""Consistency modules, used in training only: they decode shared channels to the shared joints' data (paper 4.1)."""
+"""Consistency modules for training: they decode shared channels to the data of the shared joints (paper 4.1)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from motionkit.models.network import PartTransformer
 
 
 class ConsistencyModules(nn.Module):
-    """One two-layer network per part and level, from the shared channels to the shared joints' data."""
+    """A two-layer network per part and level, from the shared channels to the data of the shared joints."""
 
     def __init__(self, network: PartTransformer) -> None:
         super().__init__()

@@ -1,6 +1,6 @@
-"""Checks of a model file: every value of its header, and every tensor's shape and type, before a weight is read.
+"""Checks a model file before any weight is read: every value of its header, and every tensor's shape and type.
 
-Models may come from untrusted sources. A file that passes can be built and run; any other is refused in one line.
+Models may come from untrusted sources. A file that passes can be built and run. Any other raises a one-line error.
 Shape legend: P parts, L layers, D width, C controls, H heads, W window.
 """
 
@@ -28,9 +28,9 @@ from motionkit.names import nfc
 MOST_CHARACTERS, LONGEST_NAME = 10_000, 200
 MOST_RECORDINGS = 10_000  # start poses or reference clips per type
 MOST_FRAMES = 1_000_000  # per recording
-FASTEST, LONGEST_PHASE = 1e4, 3600.0  # cm/s and seconds of a gait
+FASTEST, LONGEST_PHASE = 1e4, 3600.0  # largest speed (cm/s) and cycle (s) of a gait
 RATES = (1.0, 480.0)  # frames per second
-REFERENCE_GAINS = (0.0, 100.0)  # also the range of noise
+REFERENCE_GAINS = (0.0, 100.0)  # also the range of noise factors
 LONGEST_BONE = 1e4  # cm
 FLOATS = ("F32", "F16")
 
@@ -49,7 +49,7 @@ class TensorFacts:
 
 
 def check_header(header: dict[str, Any]) -> None:
-    """Raise ModelError for a value that is missing, of the wrong type or out of range. Does not check config."""
+    """Raise ModelError for a value that is missing, of the wrong type or out of range; config is not checked."""
     types: Any = header.get("types")
     check_names(types, header.get("characters"))
     check_number("fps", header.get("fps"), *RATES)
@@ -124,7 +124,7 @@ def check_number(what: str, value: Any, low: float, high: float, whole: bool = F
 
 
 def _shown(value: Any) -> str:
-    """Format a value for a message: in one line, and not too long."""
+    """Format a value for a message, in one short line."""
     text = ascii(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -135,7 +135,7 @@ def _shown(value: Any) -> str:
 def weight_shapes(config: ModelConfig, control_size: int) -> dict[str, Shape]:
     """Return the shapes of all weights of PartTransformer(config, control_size) by name, without building it.
 
-    Not for the backbones and the fusion of the paper's ablations, which run in torch only.
+    This does not cover the backbones and the fusion of the paper's ablations, which run in torch only.
     """
     body = partition(config.variant.partition)
     P, D, Dc = len(body.parts), config.width, config.embedding.control_embedding
@@ -237,7 +237,7 @@ def check_shapes(found: Mapping[str, TensorFacts], expected: Mapping[str, Shape]
 
 
 def _frames(found: Mapping[str, TensorFacts], name: str) -> int:
-    """Return the first size of a tensor, which is the length of a recording."""
+    """Return the first dimension of a tensor, the length of a recording."""
     facts = found.get(name)
     if facts is None:
         raise ModelError(f"the tensor {_shown(name)} is missing")

@@ -1,4 +1,4 @@
-"""Names in model files of the first releases (motionkit-model-3), and what they are called now."""
+"""Maps names in model files of the first releases (motionkit-model-3) to the present ones."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TENSOR_PREFIXES = {
 
 
 def renamed_header(header: dict[str, Any]) -> dict[str, Any]:
-    """Return the header of a former file with the present keys, in its order."""
+    """Return the header of a former file with the present keys, in the same order."""
     return {HEADER_KEYS.get(key, key): value for key, value in header.items()}
 
 

@@ -1,4 +1,4 @@
-"""Layers of P parts at once: one batched product serves all parts.
+"""Layers of P parts at once, by one batched product for all parts.
 
 Shape legend: P parts, B batch, T frames, D width, H heads, E width of a head, W window.
 """
@@ -15,7 +15,7 @@ from torch import Tensor, nn
 class PartLinear(nn.Module):
     """P linear maps (P, ..., in) -> (P, ..., out), one per part.
 
-    Without a bias the map can be added to a residual in the same product, which saves a pass over memory.
+    A map without a bias can be added to a residual in the same product, which saves a pass over memory.
     """
 
     def __init__(self, parts: int, inputs: int, outputs: int, bias: bool = True) -> None:

@@ -1,4 +1,4 @@
-"""A trained model: its network, its motion types and all that is needed to run them."""
+"""A trained model: its network, its motion types, and everything needed to run them."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class MotionModel:
     Attributes:
         types: the motion types by name, in the order of the type signal.
         fps: frames per second.
-        scaling, trajectory_scaling: of the 276 features and the 24 trajectory numbers.
-        reference_rotations: (23, 4) rotations that the exponential maps of the features are relative to.
+        scaling, trajectory_scaling: scalings of the 276 features and the 24 trajectory numbers.
+        reference_rotations: (23, 4) rotations to which the exponential maps of the features are relative.
         pose_embedding: maps features to pose embeddings.
         characters: rest-pose offsets (23, 3) in cm by name; "default" is always there.
         uses_references: whether the network was trained with reference poses.
-        own_bodies: whether it was trained on performers with bodies of their own.
-        card: data, settings, time and scores of the training; for people, never needed to run.
+        own_bodies: whether it was trained on performers with their own bodies.
+        card: data, settings, duration and scores of the training; for people, not needed to run.
     """
 
     network: NetworkWeights
@@ -69,17 +69,17 @@ class MotionModel:
 
     @property
     def controls(self) -> ControlLayout:
-        """Where each signal stands in a control vector."""
+        """The layout of a control vector."""
         return ControlLayout(self.type_names, self.config.controls)
 
     @property
     def plain(self) -> bool:
-        """Whether frames are used as drawn and the predicted trajectory is fed back, as in the paper."""
+        """Whether roll-outs are those of the paper: frames as sampled, and the predicted trajectory fed back."""
         return self.config.controls == "paper"
 
     @property
     def shows_bodies(self) -> bool:
-        """Whether the network takes a character's skeleton as input and moves that skeleton itself."""
+        """Whether the network takes a character's skeleton as input and moves that skeleton."""
         return self.plain or self.own_bodies
 
     @property
@@ -88,19 +88,19 @@ class MotionModel:
         return reference_map(self.pose_embedding, self.scaling)
 
     def type_id(self, name: str) -> int:
-        """The index of a motion type; raises ControlError that lists the known ones and the nearest."""
+        """The index of a motion type; raises ControlError, with the nearest name, for an unknown one."""
         if name in self.types:
             return self.type_names.index(name)
         raise ControlError(unknown_name("motion type", name, self.type_names))
 
     def type_weights(self, name: str) -> Array:
-        """Weights (N,) of one motion type alone; raises ControlError for an unknown one."""
+        """Type weights (N,) of one motion type; raises ControlError for an unknown one."""
         weights = np.zeros(len(self.types), np.float32)
         weights[self.type_id(name)] = 1.0
         return weights
 
     def kind(self, name: str) -> MotionKind:
-        """What a motion type is; FREE for one that the model does not have."""
+        """The kind of a motion type; FREE for one that the model does not have."""
         return self.types[name].kind if name in self.types else MotionKind.FREE
 
     def phase_seconds(self, kind: str) -> float:
@@ -108,12 +108,12 @@ class MotionModel:
         return self.types[kind].phase_seconds(self.fps) if kind in self.types else 0.0
 
     def speed_range(self, kind: str) -> tuple[float, float] | None:
-        """Slowest and fastest speed in cm/s at which a gait looks right, by its recordings; None for other types."""
+        """Slowest and fastest speed in cm/s of a gait, from its recordings; None for other types."""
         return self._speed_ranges.get(kind)
 
     @cached_property
     def _speed_ranges(self) -> dict[str, tuple[float, float] | None]:
-        """The speed range of each gait; kept, because live characters ask in every frame."""
+        """The speed range of each gait; cached, because live characters need it in every frame."""
         return {
             name: known.speeds or recorded_speeds(known.reference_clips, self.fps)
             for name, known in self.types.items()
@@ -121,20 +121,20 @@ class MotionModel:
         }
 
     def root_hold(self, type_weights: Array) -> Array:
-        """Share (...) of the sliding of feet in contact that is taken out of the root's way, by type weights (..., N).
+        """Share (...) of foot sliding to subtract from the root's path, by type weights (..., N).
 
-        A standing body gets none: its feet shuffle while it sways, and would carry it away.
+        It is 0 for a standing body: its feet shuffle while it sways, and the correction would carry it away.
         """
-        # Not a matrix product, whose last digits depend on the rows beside a character's.
+        # A matrix product would not do: its last digits depend on the other characters' rows.
         return (type_weights * self._moving).sum(axis=-1)
 
     @cached_property
     def _moving(self) -> Array:
-        """1 for each type but standing ones (N,); kept, because live characters ask in every frame."""
+        """1 for each type (N,), but 0 for standing; cached, because live characters need it in every frame."""
         return np.array([each.kind is not MotionKind.STANCE for each in self.types.values()], np.float32)
 
     def presets(self, name: str) -> Array:
-        """One field of the sampling presets (N,) of all types, such as "noise_scale"."""
+        """One field (N,) of the sampling presets of all types, such as "noise_scale"."""
         return np.array([getattr(kind.preset, name) for kind in self.types.values()], np.float32)
 
     def with_types(self, changes: Mapping[str, Mapping[str, Any]]) -> MotionModel:
@@ -143,11 +143,11 @@ class MotionModel:
         return replace(self, types=types)
 
     def with_reference(self, choice: str) -> MotionModel:
-        """The model as it is ("auto"), or without its reference recordings ("none").
+        """Return the model unchanged ("auto"), or without its reference recordings ("none").
 
-        Without them no poses, phases or ground paths of a recording are played. Performances and strikes keep
-        their length and jumps their rhythm, by which their phase is counted; gaits and jumps their usual velocity;
-        types with neither are drawn with noise enough to move as recorded.
+        Without recordings, performances and strikes keep their length, and jumps their rhythm, so that a clock can
+        count their phase. Gaits and jumps keep their usual velocity. Other types get enough noise to move as much as
+        recorded.
 
         Raises:
             ControlError: for another choice.
@@ -176,17 +176,17 @@ class MotionModel:
         return canonical_skeleton(self.characters[nfc(name)])
 
     def moved_skeleton(self, name: str) -> Skeleton:
-        """The skeleton that the network moves for a character: its own if shows_bodies, else the default one."""
+        """The skeleton that the network moves for a character: its own if shows_bodies, else the default."""
         skeleton = self.character(name)
         return skeleton if self.shows_bodies else self.character("default")
 
     def body_scale(self, name: str) -> float:
-        """Length of a character's legs relative to those that the network moves; 1 if shows_bodies."""
+        """Leg length of a character relative to that of its moved_skeleton; 1 if shows_bodies."""
         return leg_length(self.character(name)) / leg_length(self.moved_skeleton(name))
 
 
 def unknown_name(what: str, name: str, known: tuple[str, ...]) -> str:
-    """The line for a name nobody knows, with the nearest one."""
+    """The message for an unknown name, with the nearest known one."""
     import difflib
 
     near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.4)

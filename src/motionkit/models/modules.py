@@ -96,7 +96,7 @@ class AutoRegressiveModule(nn.Module):
 
         Args:
             first: position of the first frame, for sinusoidal positions.
-            kept: how many of the last frames are wanted; attention then drops frames that none of them sees.
+            kept: number of last frames to return; attention drops frames that none of them sees.
         """
         if self.kernel > 1:
             padded = F.pad(x_PBTD, (0, 0, self.kernel - 1, 0))

@@ -1,4 +1,4 @@
-"""What a model knows of one motion type: start poses, reference clips, how it moves, how its frames are drawn."""
+"""A motion type of a model: start poses, reference clips, gait and sampling preset."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from motionkit.features.reference import PoseEmbedding
 from motionkit.motion.rotations import rotate_ground
 from motionkit.motion.skeleton import JOINT_COUNT
 
-MOVEMENT_FRAMES = 120
-# Share of the recorded seconds that is left out at each end of a range of speeds, share by which it is widened, and
-# share of the usual speed that it reaches to both sides at least.
+MOVEMENT_FRAMES = 120  # frames over which ReferenceClip.movement is averaged
+# Quantile of recorded speeds cut off at both ends of a speed range, share by which the range is widened, and least
+# margin to both sides as a share of the usual speed.
 SPEED_SHARE, SPEED_MARGIN, LEAST_MARGIN = 0.02, 0.1, 0.25
-RUN_SPEED = 200.0  # cm/s that runs are faster than; chosen between recorded walks and runs
-JUMP_OF_PHASE = 0.1  # in a frame, between one strike or jump and the next
-# A type is steered by velocity alone if it keeps going one way in much the same pose, as gaits do, or stands still.
-# Speeds are those of the root over the ground and of the joints against it; the spread is that of poses around their
-# mean (RMS over joints). On CMU motion gaits have 12 to 18 cm, ducking under obstacles 24, hops 23, balancing 18.
-GAIT_SPEED, GAIT_STEADINESS, GAIT_SPREAD = 30.0, 0.8, 20.0  # cm/s; share; cm
-STANDING_SPEED, STANDING_MOVEMENT, STANDING_SPREAD = 15.0, 10.0, 10.0  # cm/s; cm/s; cm
+RUN_SPEED = 200.0  # cm/s above which a gait is a run; chosen between recorded walks and runs
+JUMP_OF_PHASE = 0.1  # change of phase in a frame above which another strike or jump begins
+# Velocity alone steers a type that stands still, or keeps one direction in similar poses, as gaits do. Speed is that of
+# the root over the ground, steadiness the mean velocity as a share of the mean speed, movement the speed of the joints
+# relative to the root. Spread is that of poses around their mean (RMS over joints). On CMU motion, gaits have a spread
+# of 12 to 18 cm, ducking under obstacles 24, hops 23, balancing 18.
+GAIT_SPEED, GAIT_STEADINESS, GAIT_SPREAD = 30.0, 0.8, 20.0  # least cm/s; least share; largest cm
+STANDING_SPEED, STANDING_MOVEMENT, STANDING_SPREAD = 15.0, 10.0, 10.0  # largest cm/s; cm/s; cm
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class Gait:
 
     Attributes:
         speed: mean, in cm/s.
-        facing: angle in radians from where the body faces to where it goes; pi walks backwards.
+        facing: angle in radians from the heading of the body to its direction of travel; pi walks backwards.
         cycle_seconds: mean length of a performance, strike or jump; 0 for types without a phase.
     """
 
@@ -64,12 +65,12 @@ class SamplingPreset:
         reference_gain: factor on the reference pose. Networks fall short of sharp movements, so strikes, jumps and
             flips need more than 1.
         velocity_blend: share of the last frame's velocity that is kept, which makes sampled motion smoother.
-        slip_correction: share of the sliding of planted feet that is taken out of the root's velocity. Types that
-            follow references recorded on another trajectory slide most; gaits with much of it change speed slowly.
-        noise_scale: factor on the sampling temperature. A standing body needs noise to sway; a body that a reference
-            moves only shakes.
-        noise_alone: the same without reference recordings, where a type has nothing else that keeps it moving: no
-            trajectory, as gaits have, and no phase. None is noise_scale.
+        slip_correction: share of foot sliding to subtract from the root's velocity. Types whose references were
+            recorded on another trajectory slide most. A gait with a large share changes speed slowly.
+        noise_scale: factor on the sampling temperature. A standing body needs noise to sway; noise only shakes a body
+            that follows a reference.
+        noise_alone: the factor without reference recordings, for types that only noise keeps moving: they have neither
+            trajectory nor phase. None takes noise_scale.
     """
 
     reference_gain: float = 1.0
@@ -86,10 +87,10 @@ class SamplingPreset:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceClip:
-    """A recording of one type from which reference poses are played (features/reference.py).
+    """A recording of one type, the source of reference poses (features/reference.py).
 
     Attributes:
-        poses: (L + 30, 24) pose embeddings of its frames and of the 30 after them, which references look ahead at.
+        poses: (L + 30, 24) pose embeddings of its frames, and of 30 frames more for the look-ahead of references.
         ground: (L, 3) root x, z (cm) and heading (radians).
         phases: (L,) phase of a performance, strike or jump in [0, 1), negative outside.
     """
@@ -126,23 +127,23 @@ class Rhythm:
     """How jumps or performances of a type follow one another, in frames.
 
     Attributes:
-        frames: in which the phase goes from 0 to 1.
-        period: from the beginning of one to that of the next.
+        frames: duration of the phase from 0 to 1.
+        period: frames from the beginning of one to the beginning of the next.
     """
 
     frames: float
     period: int
 
     def phases(self, begin: int, count: int) -> Array:
-        """Phases (count,) of frames from one on, counted from the beginning of the first; negative between two."""
+        """Phases (count,) of the frames from `begin` on; negative between two jumps or performances."""
         phase = np.arange(begin, begin + count) % self.period / self.frames
         return np.where(phase < 1.0, phase, -1.0).astype(np.float32)
 
 
 def recorded_rhythm(clips: Sequence[ReferenceClip]) -> Rhythm | None:
-    """The usual rhythm of the jumps in reference clips: their pace, and how many a clip has of what length.
+    """The usual rhythm of the jumps in reference clips, from the median phase rate and the median period.
 
-    None without any, and for strikes, whose sides take half of the phase each.
+    It is None without jumps, and for strikes, where each side takes half of the phase.
     """
     rates, periods = [], []
     for clip in clips:
@@ -160,10 +161,10 @@ def recorded_rhythm(clips: Sequence[ReferenceClip]) -> Rhythm | None:
 
 
 def recorded_speeds(clips: Sequence[ReferenceClip], fps: float) -> tuple[float, float] | None:
-    """Slowest and fastest speed in cm/s at which a type looks right, from its recordings; None without any.
+    """Slowest and fastest speed in cm/s of a type, from its recordings; None without any.
 
-    Speeds are means over a second; the slowest and the fastest of them are beginnings, ends and outliers. Recordings
-    that all go alike are no reason to go like them: a share of the usual speed to both sides looks right, too.
+    Speeds are means over a second. The slowest and fastest of them, beginnings, ends and outliers, are cut off. If all
+    recordings have nearly the same speed, the range still reaches LEAST_MARGIN to both sides.
     """
     second = round(fps)
     ways = [clip.ground[second:, :2] - clip.ground[:-second, :2] for clip in clips if len(clip) > second]
@@ -178,7 +179,7 @@ def recorded_speeds(clips: Sequence[ReferenceClip], fps: float) -> tuple[float, 
 
 
 class MotionKind(Enum):
-    """What a motion type is, which decides how it is controlled; MotionType.kind tells it from the type's data."""
+    """Kind of a motion type, which decides how it is controlled; MotionType.kind finds it from the type's data."""
 
     GAIT = "gait"  # steered by velocity: walks and runs
     STANCE = "stance"  # standing still
@@ -188,7 +189,7 @@ class MotionKind(Enum):
 
     @property
     def steered(self) -> bool:
-        """Whether velocity alone steers it, without reference poses."""
+        """Whether velocity alone steers the type, without reference poses."""
         return self in (MotionKind.GAIT, MotionKind.STANCE)
 
     @property
@@ -202,14 +203,14 @@ class MotionType:
     """One motion type of a model.
 
     Attributes:
-        start_poses: recorded beginnings to start a character from.
-        reference_clips: recordings to take reference poses from; performances the longest first.
-        gait: how it moves over the ground; None where nothing was measured.
+        start_poses: recorded frames to start a character from.
+        reference_clips: recordings for reference poses; of performances the longest first.
+        gait: how it moves over the ground; None if not measured.
         preset: how its frames are drawn.
-        steered: whether velocity alone steers it (is_steered); what the type is otherwise shows in its data (kind).
-        rhythm: of the jumps of a model whose recordings have been left out; None for other types.
-        speeds: recorded_speeds of a gait whose recordings have been left out; None for other types.
-        velocity: recorded_velocity of a gait or of jumps whose recordings have been left out; None for other types.
+        steered: whether velocity alone steers it (is_steered).
+        rhythm: recorded_rhythm of jumps; None with recordings and for other types.
+        speeds: recorded_speeds of a gait; None with recordings and for other types.
+        velocity: recorded_velocity of a gait or of jumps; None with recordings and for other types.
     """
 
     start_poses: tuple[StartPose, ...] = ()
@@ -223,7 +224,7 @@ class MotionType:
 
     @cached_property
     def kind(self) -> MotionKind:
-        """What the type is, by its recordings; without them by what is known of its movements."""
+        """The kind of the type, from its recordings, or without them from rhythm and gait."""
         if self.steered:
             stands = self.gait is not None and self.gait.speed < STANDING_SPEED
             return MotionKind.STANCE if stands else MotionKind.GAIT
@@ -237,26 +238,26 @@ class MotionType:
 
     @property
     def moves_by_noise(self) -> bool:
-        """Whether nothing but noise keeps a type moving whose recordings have been left out."""
+        """Whether only noise keeps the type moving, because it has no recordings, phase or trajectory."""
         return self.kind is MotionKind.FREE and not self.reference_clips
 
     def phase_seconds(self, fps: float) -> float:
-        """Length in seconds of its first performance, or of its usual strike or jump; 0 without a phase."""
+        """Length in seconds of its first performance, or the mean length of a strike or jump; 0 without a phase."""
         if self.kind is MotionKind.PERFORMANCE:
             return len(self.reference_clips[0]) / fps
         return 0.0 if self.gait is None else self.gait.cycle_seconds
 
 
 def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: float) -> bool:
-    """Whether velocity alone steers a type, by its recordings: a steady gait, or standing still.
+    """Whether velocity alone steers a type, from its recordings: a steady gait, or standing still.
 
     Args:
         clips: reference clips of the type.
-        embedding: the map their poses were made with.
+        embedding: the map that made their poses.
         fps: frames per second of the clips.
 
     Returns:
-        False for performances, for types made of strikes or jumps, and without clips.
+        True for a steady gait or standing still; False for types with a phase, and without clips.
     """
     if not clips or any(bool((clip.phases >= 0.0).any()) for clip in clips):
         return False
@@ -264,10 +265,10 @@ def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: fl
     speed = float(np.linalg.norm(velocity, axis=1).mean())
     steadiness = float(np.linalg.norm(velocity.mean(axis=0))) / max(speed, 1e-6)
     stands = speed < STANDING_SPEED
-    # Most types end here; models are opened often, and poses take longest.
+    # This early return covers most types, because poses take the longest.
     if not stands and (speed <= GAIT_SPEED or steadiness <= GAIT_STEADINESS):
         return False
-    # Lengths in the space of poses need no more columns than the embedding has.
+    # A map that keeps lengths in the space of poses, with only as many columns as the embedding has.
     to_poses = np.linalg.pinv(embedding.matrix.astype(np.float64))
     lengths = np.linalg.qr(to_poses.T)[1].T / JOINT_COUNT**0.5
     poses = [clip.poses[: len(clip)] @ lengths for clip in clips]
@@ -280,9 +281,9 @@ def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: fl
 
 
 def recorded_velocity(clips: Sequence[ReferenceClip], fps: float) -> tuple[float, float] | None:
-    """Mean velocity of the root over a second of clips, x and z in cm/s in the heading frame; None without any.
+    """Mean velocity of the root over a second, x and z in cm/s in the heading frame; None without long enough clips.
 
-    It goes straight ahead or back: to which side clips go is chance.
+    x is 0, because the side to which clips drift is chance.
     """
     second = round(fps)
     moves = [

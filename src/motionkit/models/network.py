@@ -1,4 +1,4 @@
-"""The part transformer: TPTN with two parts, and the paper's EBTN, FPTN and 5PTN with one, four and five.
+"""The part transformer: the paper's TPTN with two parts, and its EBTN, FPTN and 5PTN with one, four and five.
 
 Paper section 4.1. Shape legend: P parts, B batch, T frames, F features (276), C controls, D width.
 """
@@ -44,7 +44,7 @@ class Prediction:
 
 
 class PartTransformer(Predictor):
-    """P parts with a shallow and a deep module each; they are fused in between and aggregated at the end."""
+    """P parts with a shallow and a deep module each, fusion in between, and aggregation at the end."""
 
     config: ModelConfig
     config_class = ModelConfig
@@ -59,7 +59,7 @@ class PartTransformer(Predictor):
         self.shallow = AutoRegressiveModule(P, gather.shape[1], control_size, config, config.kernel)
         self.shallow.embed_mask = torch.from_numpy(embedding_mask(config))
         self.deep = AutoRegressiveModule(P, D, control_size, config, 1)
-        # Each part gets one linear map of all the other parts' shallow features.
+        # For each part, a linear map of the shallow features of all other parts.
         self.fusion = PartLinear(P, (P - 1) * D, D) if P > 1 and config.variant.fusion == "linear" else None
         crosses = P > 1 and config.variant.fusion == "cross-attention"
         self.cross = LocalAttention(P, D, config.heads, config.window, bias=False) if crosses else None
@@ -70,13 +70,13 @@ class PartTransformer(Predictor):
         self._initialise()
 
     def _initialise(self) -> None:
-        """Make outputs small at first, so that the leaky head starts near a decaying copy of its input."""
+        """Start with small outputs, so that the leaky head begins near a decaying copy of its input."""
         with torch.no_grad():
             self.aggregate.weight.mul_(0.1)
             self.aggregate.bias.zero_()
 
     def layer_matrices(self) -> dict[str, int]:
-        """As in Predictor, with the fusion; C is 3 for queries, keys and values, else 1."""
+        """As in Predictor, including the fusion; C is 3 for queries, keys and values, else 1."""
         found = {}
         for name, module in self.named_modules():
             within = ".layers." in name or name.partition(".")[0] in ("fusion", "cross")
@@ -111,7 +111,7 @@ class PartTransformer(Predictor):
         return self.predict(x_BTF, before, shallow, deep)
 
     def predict_last(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> Prediction:
-        """Predict the frame after the last one alone: forward() without what its last prediction does not see."""
+        """Predict only the frame after the last one: forward() without frames that this prediction does not see."""
         sight = len(self.deep.layers) * (self.config.window - 1) + 1
         if self.cross is not None:
             sight += self.config.window - 1
@@ -124,7 +124,7 @@ class PartTransformer(Predictor):
     def fuse(self, shallow: Tensor) -> Tensor:
         """Add to shallow features (P, ..., D) a linear map of the other parts' features (paper eq. 3).
 
-        With cross-attention the others' features (their mean) are the queries, the part's own are keys and values.
+        With cross-attention, the mean of the other parts' features is the query; the part itself gives keys and values.
         """
         P = shallow.shape[0]
         if self.cross is not None:
@@ -136,7 +136,7 @@ class PartTransformer(Predictor):
         return shallow + self.fusion(others)
 
     def predict(self, x: Tensor, before: Tensor, shallow: Tensor, deep: Tensor) -> Prediction:
-        """Apply aggregation layer and Foot-MLP; x (..., 276) are the input frames, before those before them."""
+        """Apply aggregation layer and Foot-MLP to features of frames x (..., 276); before holds the previous frames."""
         body = torch.cat(list(deep), dim=-1)
         out = self.aggregate(body).float()
         sizes = [FEATURE_COUNT, FEATURE_COUNT, TRAJECTORY_COUNT, TRAJECTORY_COUNT]
@@ -171,17 +171,16 @@ class _ModuleRings:
 
 
 class NetworkStream:
-    """The network one frame at a time for a batch of independent characters: constant work per frame, with the results
-    of the batched forward pass.
+    """Runs the network one frame at a time for a batch of independent characters, with the results of forward().
 
-    Each attention layer keeps a ring of the last W keys and values, and the shallow convolution keeps its last inputs.
-    Absolute (sinusoidal) positions change with every frame. That option recomputes the whole receptive field instead,
-    as the paper does.
+    Each attention layer keeps a ring of the last W keys and values, and the shallow convolution keeps its last inputs,
+    so the work per frame is constant. Absolute (sinusoidal) positions change with every frame; with them the whole
+    receptive field is computed again, as in the paper.
     """
 
     def __init__(self, network: PartTransformer, batch: int) -> None:
         self.network, self.batch = network, batch
-        # An LSTM carries its state instead, and has no positions.
+        # An LSTM keeps a state instead, and has no positions.
         config = network.config
         windowed = (
             config.variant.position == "sinusoidal"
@@ -192,7 +191,7 @@ class NetworkStream:
         self.reset()
 
     def reset(self, given: int = 0) -> None:
-        """Forget all frames; of the next `given` recorded ones only the last's prediction may be used."""
+        """Forget all frames. Of the next `given` recorded frames, only the prediction of the last may be used."""
         network, config = self.network, self.network.config
         self.unused = given - 1
         P, B, device = len(network.body.parts), self.batch, network.aggregate.weight.device
@@ -248,19 +247,19 @@ class NetworkStream:
         row = torch.cat([x, contacts, controls], dim=-1)[:, None]
         self.past = torch.cat([self.past, row], dim=1)[:, -self.network.config.receptive_field :]
         self.frame += 1
-        if self.frame <= self.unused:  # a whole window for what nobody reads
+        if self.frame <= self.unused:  # skip a whole window whose prediction nobody reads
             return NextFrame(torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(contacts))
         sizes = [FEATURE_COUNT, CONTACT_COUNT, self.network.control_size]
         return self.network.predict_last(*self.past.split(sizes, dim=-1))
 
     def prime(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> None:
-        """Process frames whose predictions are not needed."""
+        """Process frames without using their predictions."""
         for t in range(x_BTF.shape[1]):
             self.step(x_BTF[:, t], contacts_BT4[:, t], controls_BTC[:, t])
 
 
 def parameter_count(network: Predictor) -> int:
-    """Return the number of parameters, without those of padded or masked inputs."""
+    """Return the number of parameters, not counting those of padded or masked inputs."""
     total = sum(p.numel() for p in network.parameters())
     return (
         total - int((network.shallow.embed_mask == 0).sum())

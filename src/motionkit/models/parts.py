@@ -1,4 +1,4 @@
-"""Body parts as tuples of joints. The same network serves one, two, four or five parts."""
+"""Body parts as tuples of joints; the same network works with one, two, four or five parts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class BodyPart:
 
 @dataclass(frozen=True)
 class Partition:
-    """Body parts and the joints all of them share (the paper's overlapped data)."""
+    """Body parts, and the joints that all of them share (the paper's overlapped data)."""
 
     parts: tuple[BodyPart, ...]
     shared: tuple[int, ...]
@@ -60,7 +60,7 @@ _ARMS = _side("Left", _ARM) + _side("Right", _ARM)
 _ROOT = (0,)
 _SPINE_JOINTS = tuple(JOINT_NAMES.index(name) for name in ("Hips", *_SPINE))
 
-# Named as in the paper's ablation of body parts: whole body, two parts, four that share the root or the spine, five.
+# Partitions of the paper's ablation: whole body, two parts, four that share the root or the spine, five.
 PARTITIONS: dict[str, Partition] = {
     "one": Partition((_part("body", _LEGS + _SPINE + _ARMS, _LEFT_FOOT + _RIGHT_FOOT),), _ROOT),
     "two": Partition(

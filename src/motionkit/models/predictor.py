@@ -1,8 +1,8 @@
-"""What training, model files and roll-outs expect of a network, so that another architecture is one file.
+"""The interface of a network for training, model files and roll-outs, so that another architecture is one file.
 
-Inputs are normalised features (..., 276), contacts (..., 4) and control vectors (..., C); losses() trains on a batch
-of windows; stream() predicts frame by frame and keeps its own state. What is drawn is a Gaussian per feature, given
-latent_size normal numbers where the network takes them.
+Inputs are normalised features (..., 276), contacts (..., 4) and control vectors (..., C). losses() returns the loss of
+a batch of windows. stream() predicts frame by frame and keeps its own state. The output is a Gaussian per feature; some
+networks also take latent_size normal numbers.
 Shape legend: B batch, T frames, C controls, Z latent numbers.
 """
 
@@ -20,7 +20,7 @@ from motionkit.models.weights import NetworkWeights
 
 
 class Drawn(Protocol):
-    """What a stream predicts: the Gaussian of the next frame, in normalised units."""
+    """A stream's prediction: the Gaussian of the next frame, in normalised units."""
 
     @property
     def mean(self) -> Tensor:
@@ -39,7 +39,7 @@ class Drawn(Protocol):
 
     @property
     def trajectory_mean(self) -> Tensor | None:
-        """(B, 24) trajectory of the next frame; None where it is not predicted."""
+        """(B, 24) trajectory of the next frame; None if the network does not predict it."""
         ...
 
 
@@ -57,13 +57,13 @@ class PredictorStream(Protocol):
     """The state of B independent characters."""
 
     def reset(self, given: int = 0) -> None:
-        """Forget all frames; the next `given` are recorded ones, of whose predictions only the last is used."""
+        """Forget all frames. Of the next `given` recorded frames, only the prediction of the last is used."""
         ...
 
     def step(
         self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor, latent_BZ: Tensor | None = None
     ) -> Drawn:
-        """Take in a frame and predict the next; without latent numbers, at their mean of zero."""
+        """Predict the next frame from a new one; without latent numbers, they are at their mean of zero."""
         ...
 
 
@@ -71,10 +71,10 @@ class Predictor(nn.Module):
     """A network that predicts the next frame.
 
     Attributes:
-        config: its sizes and choices; with control_size all that is needed to build it.
+        config: its sizes and choices; config and control_size suffice to build it.
         control_size: length of its control vector.
         config_class: the class of config.
-        latent_size: normal numbers that a step takes per character, 0 for none.
+        latent_size: normal numbers per character that a step takes; 0 for none.
     """
 
     config: Any
@@ -87,12 +87,14 @@ class Predictor(nn.Module):
         self.config, self.control_size = config, control_size
 
     def losses(self, batch: Batch, space: FeatureSpace, progress: float) -> dict[str, Tensor]:
-        """Return the terms of the training loss by name, weighted; progress is the share of the run that is done."""
+        """Return the weighted terms of the training loss by name; progress is the finished share of the run."""
         raise NotImplementedError
 
     def layer_matrices(self) -> dict[str, int]:
-        """Return the names of the weights (P, M, C N) within layers and the C of each: how many matrices it has side
-        by side. None here: Muon moves those of part transformers alone (training/optimizer.py)."""
+        """Return, by name, the weights (P, M, C N) within layers and their C, the number of matrices side by side.
+
+        Muon updates these weights (training/optimizer.py). The default is none; only part transformers have some.
+        """
         return {}
 
     def stream(self, batch: int) -> PredictorStream:

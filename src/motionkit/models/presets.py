@@ -10,7 +10,7 @@ from motionkit.models.config import ModelConfig
 
 
 def tptn() -> ModelConfig:
-    """Two parts, a leaky head with momentum, which learns fast, and relative positions, which allow streaming."""
+    """Two parts, a leaky head with momentum for fast learning, and relative positions for streaming."""
     return ModelConfig().changed(
         control_embedding=80,
         input_dropout=0.1,
@@ -22,7 +22,7 @@ def tptn() -> ModelConfig:
 
 
 def tptn_paper() -> ModelConfig:
-    """The paper's network: absolute head, sinusoidal positions, post-norm, its dropout, features and controls."""
+    """The paper's network: absolute head, sinusoidal positions, post-norm, and its dropout, features and controls."""
     return ModelConfig().changed(
         layout="expmap-root-1",
         controls="paper",
@@ -64,7 +64,7 @@ def five_ptn() -> ModelConfig:
 
 
 def tiny() -> ModelConfig:
-    """A small network for tests and first tries; it learns little."""
+    """A small network for tests and first trials; it learns little."""
     return tptn().changed(
         width=48,
         heads=4,

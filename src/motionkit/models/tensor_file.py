@@ -1,4 +1,4 @@
-"""Safetensors files from untrusted sources: names, types and shapes are known before tensors are read."""
+"""Reads safetensors files from untrusted sources: names, types and shapes first, tensors later."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from motionkit.errors import ModelError
 from motionkit.files import open_regular, parse_json
 from motionkit.models.file_check import TensorFacts
 
-MOST_HEADER = 8 * 2**20  # bytes; the bundled model has 120,000
+MOST_HEADER = 8 * 2**20  # bytes of the largest header; that of the bundled model has 120,000
 
 
 class TensorFile:
@@ -36,7 +36,7 @@ class TensorFile:
         self._stored = {name: name for name in self.found}
 
     def rename(self, name_of: Callable[[str], str]) -> None:
-        """Call the tensors by other names from now on. Raises ModelError if two would have the same."""
+        """Rename all tensors. Raises ModelError if two get the same name."""
         found: dict[str, TensorFacts] = {}
         stored: dict[str, str] = {}
         for name, facts in self.found.items():

@@ -1,6 +1,6 @@
-"""The rotation functions that losses differentiate, in torch. Tests compare them with motion/rotations.py.
+"""Rotation functions in torch, for losses that need gradients; tests compare them with motion/rotations.py.
 
-Shapes, units and conventions are those of motion/rotations.py. Small angles use series and roots use safe
+Shapes, units and conventions are those of motion/rotations.py. Small angles use series, and roots use safe
 denominators, so that gradients stay finite.
 """
 
@@ -83,7 +83,7 @@ def orthonormal(sixd: Tensor) -> Tensor:
 
 
 def sixd_to_quat(sixd: Tensor) -> Tensor:
-    """Return unit quaternions (..., 4) of two matrix columns (..., 6), made orthonormal first."""
+    """Return unit quaternions (..., 4) of two matrix columns (..., 6), after orthonormal()."""
     columns = orthonormal(sixd)
     first, second = columns[..., :3], columns[..., 3:]
     return matrix_to_quat(torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1))
@@ -104,7 +104,7 @@ def decode_rotations(
     root = features[..., columns.blocks["root_rotation"]]
     root = (sixd_to_quat if columns.root_is_sixd else expmap_to_quat)(root)
     expmaps = features[..., columns.blocks["joint_rotations"]]
-    # Slices, not a list of indices: that would have to come from the CPU, which a CUDA graph cannot wait for.
+    # Slices, because a list of indices comes from the CPU, and a CUDA graph cannot wait for that.
     expmaps = torch.stack([expmaps[..., 3 * j - 3 : 3 * j] for j in joints], dim=-2)
     references = torch.stack([reference_rotations[j] for j in joints]).to(expmaps)
     return torch.cat([root[..., None, :], quat_multiply(references, expmap_to_quat(expmaps))], dim=-2)

@@ -1,4 +1,4 @@
-"""A network's weights as plain arrays, as in a model file and in inference without torch.
+"""A network's weights as plain arrays, for model files and inference without torch.
 
 Shape legend: P parts, N inputs of a part.
 """
@@ -38,7 +38,7 @@ class NetworkWeights:
 
 
 def part_columns(config: ModelConfig) -> tuple[Array, Array]:
-    """Return each part's input columns (P, N), and which of them belong to shared joints (P, N).
+    """Return each part's input columns (P, N), and whether they belong to shared joints (P, N).
 
     Columns count the 276 features, then the 4 contacts, then one column of zeros for padding.
     """
@@ -59,7 +59,7 @@ def part_columns(config: ModelConfig) -> tuple[Array, Array]:
 
 
 def embedding_mask(config: ModelConfig) -> Floats:
-    """Return a mask (P, kernel N, motion width): the first channels see shared joints only, and none sees padding."""
+    """Return a mask (P, kernel N, motion width): the first channels see only shared joints, and none sees padding."""
     gather, shared = part_columns(config)
     mask = np.ones((*gather.shape, config.width - config.embedding.control_width), np.float32)
     mask[:, :, : config.embedding.shared_channels] = shared[:, :, None]
@@ -68,5 +68,5 @@ def embedding_mask(config: ModelConfig) -> Floats:
 
 
 def foot_parts(config: ModelConfig) -> list[int]:
-    """Return the parts that have a foot; their features are the input of the Foot-MLP."""
+    """Return the parts with a foot; their features are the input of the Foot-MLP."""
     return [i for i, part in enumerate(partition(config.variant.partition).parts) if part.contacts]

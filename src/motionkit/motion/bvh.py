@@ -1,7 +1,7 @@
 """BVH files: reading, writing, and conversion to and from Motion.
 
-bvhio reads the hierarchy and numpy the motion block, which is several times faster than bvhio's keyframes
-(benchmarks/bvh_reading.py) and exact in float64. Only this file uses degrees.
+bvhio reads the hierarchy and numpy the motion block. That is several times faster than bvhio's keyframes
+(benchmarks/bvh_reading.py), and exact in float64. BVH angles are in degrees.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class BvhFile:
         channels: the channel names of each joint, in file order.
         values: (T, C) the motion block in degrees and file units; C counts the channels of all joints.
         frame_time: seconds per frame, as declared.
-        hierarchy: text of the hierarchy section to write instead of one made from skeleton and channels; read_bvh
-            gives none.
+        hierarchy: text to write as the hierarchy section, in place of one made from skeleton and channels; None in a
+            file from read_bvh.
     """
 
     skeleton: Skeleton
@@ -68,7 +68,7 @@ class BvhFile:
 
 def read_bvh(path: str | Path) -> BvhFile:
     """Read a BVH file; raises BvhError, naming file and line, if it is invalid."""
-    import bvhio  # here, because the import takes a quarter of a second
+    import bvhio  # a local import, because it takes a quarter of a second
 
     text = read_bvh_text(path)
     with tempfile.NamedTemporaryFile("w", suffix=".bvh", encoding="ascii", delete=False) as header:
@@ -100,7 +100,7 @@ def read_bvh(path: str | Path) -> BvhFile:
 
 
 def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) -> Motion:
-    """The motion of a BVH file, with lengths multiplied by scale, at the declared frame rate or at fps."""
+    """Convert a BVH file to a motion, with lengths multiplied by scale, at the declared frame rate or at fps."""
     frames, joints = bvh.values.shape[0], len(bvh.skeleton)
     rotations = np.zeros((frames, joints, 4), np.float64)
     offsets = bvh.skeleton.offsets.astype(np.float64)
@@ -130,7 +130,7 @@ def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) ->
 
 
 def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None = None) -> BvhFile:
-    """Convert a motion to BVH channels: those given, or ZYX rotations, and positions of the joints that move.
+    """Convert a motion to the given BVH channels; by default ZYX rotations, and positions of the joints that translate.
 
     Angles are unwrapped over time, so that curves in an editor do not jump by 360 degrees.
     """
@@ -159,7 +159,7 @@ def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None =
 
 
 def _unrolled_eulers(motion: Motion, orders: list[str]) -> Array:
-    """Unwrapped Euler angles (T, J, 3) in degrees; of two equivalent triples, the one nearer to the previous frame."""
+    """Unwrapped Euler angles (T, J, 3) in degrees; the nearer of two equivalent triples to the previous frame."""
     first = np.zeros((len(motion), len(orders), 3))
     for joint, order in enumerate(orders):
         if len(order) not in (0, 3):
@@ -183,7 +183,7 @@ def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) ->
     """Write a BVH file atomically, with lengths multiplied by scale.
 
     Raises:
-        BvhError: a value is one that read_bvh would refuse, such as NaN; path is unchanged then.
+        BvhError: read_bvh would refuse a value, such as NaN; path stays unchanged.
         MotionkitError: path cannot be written.
     """
     bvh = (
@@ -202,7 +202,7 @@ def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) ->
 
 
 def bvh_hierarchy(skeleton: Skeleton) -> tuple[str, list[int]]:
-    """The HIERARCHY of the files of a skeleton's motions, and the joints in the order of their channels."""
+    """The hierarchy section of a skeleton's files, and its joint indices in the order of their channels."""
     still = np.zeros((1, len(skeleton), 4), np.float32)
     still[..., 0] = 1.0
     bvh = _depth_first(motion_to_bvh(Motion(skeleton, still, np.zeros((1, 3), np.float32), 60.0)))
@@ -214,7 +214,7 @@ def _hierarchy_text(bvh: BvhFile) -> str:
 
 
 def _check_numbers(path: str | Path, bvh: BvhFile) -> None:
-    """Raise BvhError for a value that a file cannot hold, so that it does not replace a good file at path."""
+    """Raise BvhError for a value that a file cannot hold, before it replaces a good file at path."""
     found = implausible_value(bvh.values)
     if found:
         raise BvhError(path, f"not written: {found[1]}")
@@ -230,7 +230,7 @@ def _check_numbers(path: str | Path, bvh: BvhFile) -> None:
 
 
 def _depth_first(bvh: BvhFile) -> BvhFile:
-    """The same file with its joints in depth-first order, as the format nests them."""
+    """Sort the joints of a file in depth-first order, as the format nests them."""
     skeleton = bvh.skeleton
     order: list[int] = []
     waiting = [0]

@@ -1,7 +1,7 @@
 """Checks the text of a BVH file before it is parsed, so that every error has a line number.
 
-The grammar of the hierarchy is checked without recursion and the hierarchy rewritten in normal form; the motion
-block is checked as bytes. The output is safe to pass to bvhio and numpy.
+It checks the grammar of the hierarchy without recursion, rewrites the hierarchy in normal form, and checks the motion
+block as bytes. The output is safe to pass to bvhio and numpy.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ MAX_BYTES = 512 * 2**20
 MAX_DEPTH = 200
 MAX_JOINTS = 2000
 MAX_NAME = 200
-# Limit for offsets, positions (10 km in millimetres) and angles (28,000 turns in degrees). No real file reaches it
-# in any unit, and results computed from such numbers stay far within the range of float32.
+# Limit of offsets, positions (10 km in millimetres) and angles (28,000 turns in degrees). No real file reaches it in
+# any unit, and results stay far within the range of float32.
 MAX_NUMBER = 1e7
 SHORTEST_FRAME, LONGEST_FRAME = 1e-4, 1.0  # seconds
 CHANNEL_NAMES = {
@@ -38,8 +38,8 @@ WHOLE_NUMBER = re.compile(r"[0-9]{1,9}")
 class BvhText:
     """A checked file: a normalised header for bvhio, and the motion block as numbers.
 
-    The header calls the joints j0, j1, ... in file order, so that no unusual name (with spaces, in Latin-1) can
-    confuse the parser; `names` holds the real names.
+    The header calls the joints j0, j1, ... in file order, because unusual names (with spaces, in Latin-1) may confuse
+    the parser; `names` holds the real names.
     """
 
     header: str
@@ -65,7 +65,7 @@ def read_bvh_text(path: str | Path) -> BvhText:
 
 
 def read_hierarchy(path: str | Path) -> str:
-    """The hierarchy section of a BVH file as it is written there; raises BvhError as read_bvh_text does."""
+    """The unchanged text of a BVH file's hierarchy section; raises BvhError as read_bvh_text does."""
     lines = _decode(path, _read_bytes(path)).split("\n")
     return "\n".join(lines[: _find_motion(path, lines)]) + "\n"
 
@@ -84,7 +84,7 @@ def _decode(path: str | Path, data: bytes) -> str:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise BvhError(path, "is UTF-16 text, expected ASCII, UTF-8 or Latin-1; save it as UTF-8", 1)
     if data.startswith(b"glTF"):
-        # convert reads what is called .glb, and no avatars or VRM animations.
+        # convert reads .glb files, but no avatars or VRM animations.
         how = (
             "; `motionkit convert` makes one of its animation" if Path(path).suffix.lower() == ".glb" else ""
         )
@@ -134,7 +134,7 @@ class _HierarchyWalk:
         self.out: list[str] = ["HIERARCHY"]
         self.names: dict[str, int] = {}
         self.open: list[dict[str, Any]] = []  # joints and end sites not yet closed
-        self.pending: dict[str, Any] | None = None  # a joint or end site whose bracket is still to come
+        self.pending: dict[str, Any] | None = None  # a joint or end site before its opening bracket
         self.roots = 0
         self.channels = 0
 
@@ -179,7 +179,7 @@ class _HierarchyWalk:
         self.out.append("End Site")
 
     def _begin_child(self, child: str, line: int) -> None:
-        """Complete the parent: bvhio needs its OFFSET and CHANNELS before any child."""
+        """Complete the parent, because bvhio needs its OFFSET and CHANNELS before any child."""
         if not self.open:
             return
         parent = self.open[-1]
@@ -328,14 +328,14 @@ def _check_motion_header(path: str | Path, lines: list[str], motion_line: int) -
 
 
 def _plain(line: str) -> str:
-    """The line with single spaces; on runs of spaces the patterns could take very long."""
+    """The line with single spaces; the patterns could take very long on runs of spaces."""
     return " ".join(line.split())
 
 
 def _check_duration(path: str | Path, frames: int, frame_time: float, line: int) -> None:
-    """Refuse recordings that would take far more memory at 60 fps than the file itself."""
+    """Raise BvhError for a recording that would take far more memory at 60 fps than the file itself."""
     longest = longest_seconds(1.0 / frame_time)
-    if frames * frame_time > longest * 1.001:  # an hour written at 0.0166667 is an hour
+    if frames * frame_time > longest * 1.001:  # the margin covers rounded frame times, such as 0.0166667
         raise BvhError(
             path,
             f"{frames} frames of {frame_time:g} s last {frames * frame_time / 3600:.3g} hours, "
@@ -369,7 +369,7 @@ def _read_rows(
 
 
 def implausible_value(values: NDArray[np.float64]) -> tuple[int, str] | None:
-    """The first frame of a motion block (T, C) with an implausible value, and a message about it, or None."""
+    """The first frame of a motion block (T, C) with an implausible value, and a message; None if all are plausible."""
     if not values.size or (values.min() >= -MAX_NUMBER and values.max() <= MAX_NUMBER):  # False for NaN
         return None
     row = int(np.flatnonzero(~(np.abs(values) <= MAX_NUMBER).all(axis=1))[0])
@@ -380,7 +380,7 @@ def implausible_value(values: NDArray[np.float64]) -> tuple[int, str] | None:
 
 
 def _words_per_line(lines: list[str], rows: list[int]) -> NDArray[np.int64]:
-    """Number of words in each row, counted on bytes; far faster than splitting every line."""
+    """Number of words in each row, counted in bytes, which is far faster than splitting every line."""
     block = "\n".join(lines[i] for i in rows).encode("utf-8", "replace")
     data = np.frombuffer(b"\n" + block, dtype=np.uint8)
     space = data <= 32

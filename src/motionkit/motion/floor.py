@@ -1,4 +1,4 @@
-"""The floor of a clip, by where feet stand: the height of standing joints, or the shift that brings them to it."""
+"""Finds the floor of a clip from its standing feet: their height, or the shift that brings them to the floor."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES, STANDING_HEIGHTS
 
-# Height in cm of the toe joint (ball of the foot) above the floor while the foot stands: the median over the CMU
-# subjects with a level floor.
+# Height in cm of the toe joint (ball of the foot) of a standing foot: the median over the CMU subjects with a level
+# floor.
 TOE_HEIGHT = STANDING_HEIGHTS[1]
 TOES = (JOINT_NAMES.index("LeftToeBase"), JOINT_NAMES.index("RightToeBase"))
 
-# floor_height: measured figures of the metrics rest on these.
+# Settings of floor_height; published metrics depend on them.
 STILL_SPEED = 30.0  # cm/s; the lowest foot joint stands below this speed
 STANCE_QUANTILE = 0.25  # of the standing heights: low, but robust to a body that sinks now and then
-STANCE_FRAMES = 3  # with fewer standing frames, as in a short run, the lowest frames of all are used
-LOWEST_QUANTILE = 0.05  # of all heights, where no foot stands
+STANCE_FRAMES = 3  # least standing frames; with fewer, as in a short run, the lowest frames count
+LOWEST_QUANTILE = 0.05  # of all heights, if no foot stands
 
-# floor_shift: toes slower than this, in the lowest well-filled band of heights.
-STANCE_SPEED = 20.0
-STANCE_BAND = 6.0
-STANCE_SHARE = 0.75
-STEP_DOWN = 8.0
-STEP_SHARE = 0.1
+# Settings of floor_shift.
+STANCE_SPEED = 20.0  # cm/s; slower toes stand
+STANCE_BAND = 6.0  # cm; height of a band of standing toes
+STANCE_SHARE = 0.75  # share of the fullest band's toes that the lowest band must have
+STEP_DOWN = 8.0  # cm; toes this far below the band may stand on the floor beside a platform
+STEP_SHARE = 0.1  # share of all standing toes that must be there
 
 
 def foot_positions(global_positions: Array) -> Array:
@@ -36,9 +36,9 @@ def foot_positions(global_positions: Array) -> Array:
 
 
 def floor_height(feet: Array, fps: float = 60.0) -> float:
-    """Floor height of a clip in cm: the lower quartile of the lowest foot joint's height while it stands still.
+    """Floor height of a clip in cm: the lower quartile of the lowest foot joint's height while it stands.
 
-    This is the level of the standing joints, not of the soles below them.
+    This is the height of the joints, not of the soles below them.
 
     Args:
         feet: (T, 4, 3) foot joints in cm.
@@ -61,7 +61,7 @@ def floor_height(feet: Array, fps: float = 60.0) -> float:
 
 
 def floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
-    """cm to add to the root height so that standing toes are at TOE_HEIGHT, and notes."""
+    """The shift of the root height in cm that brings standing toes to TOE_HEIGHT, and notes."""
     legs = max(TOES) + 1  # hips and legs come first
     skeleton = motion.skeleton
     _, positions = forward_kinematics(
@@ -80,13 +80,13 @@ def floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
 
 
 def standing_toes(toes: Array, fps: float) -> Array:
-    """Flags (T, ...): whether toes (T, ..., 3), in cm, stand still."""
+    """Whether toes (T, ..., 3), in cm, stand still (T, ...)."""
     still: Array = speeds(toes, fps) < STANCE_SPEED
     return still
 
 
 def speeds(places: Array, fps: float) -> Array:
-    """Speeds (T, ...) in cm/s of places (T, ..., 3), by central differences where possible."""
+    """Speeds (T, ...) in cm/s of places (T, ..., 3), by central differences, one-sided at the ends."""
     if len(places) < 2:
         return np.zeros(places.shape[:-1], places.dtype)
     steps = (places[1:] - places[:-1]) * fps
@@ -95,10 +95,10 @@ def speeds(places: Array, fps: float) -> Array:
 
 
 def _lowest_band(heights: Array) -> float:
-    """Median of heights (N,) within the lowest band that is nearly as full as the fullest band.
+    """Median of heights (N,) in the lowest band that is nearly as full as the fullest one.
 
-    Feet held still in the air (a raised leg, a handstand) are above it, stray frames below it. If many heights are a
-    whole step lower, the band was a platform, and the lower ones are the floor.
+    This ignores feet held still in the air (a raised leg, a handstand) and stray low frames. If many heights are a
+    whole step lower, the band is a platform, and the lower heights are the floor.
     """
     ordered = np.sort(heights)
     counts = np.searchsorted(ordered, ordered + STANCE_BAND, side="right") - np.arange(len(ordered))

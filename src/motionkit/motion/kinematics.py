@@ -1,4 +1,4 @@
-"""Forward kinematics: local rotations to global rotations and positions."""
+"""Forward kinematics: global rotations and positions from local rotations."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What both ways of foot locking share: two-bone IK for legs, how feet hold the root, and the settings.
+"""Two-bone IK for legs, root corrections by standing feet, and the settings of foot locking.
 
-motion/foot_ik.py (whole motions) and inference/foot_lock.py (frame by frame) decide where feet go; both move them with
-move_feet. inference/foot_kernel.c does the same for single characters.
+finish/feet.py decides where the feet of whole motions go, and moves them with move_feet. inference/foot_kernel.c does
+both for live characters, frame by frame, with the same settings; tests/oracle has its numpy form.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
 
 @dataclass(frozen=True)
 class LockSettings:
-    """When feet are held, and how legs reach them; lengths in cm of the canonical body.
+    """When feet are locked, and how legs reach them; lengths in cm of the canonical body.
 
     Attributes:
         contact_on, contact_off: a contact begins above the first probability and ends below the second.
-        ease_frames: frames in which a held foot joins the predicted one again.
-        brake_frames: frames until a foot that has touched stands still, frame by frame.
-        max_slide: a foot that is predicted to slide further from where it is held takes a new place by a step.
-        max_wait: times max_slide up to which it waits for the other foot's step.
-        step_frames, step_height: frames of a step, and how far its toe rises if it is max_slide long or longer.
-        max_reach: share of the length of the straight leg.
-        hip_return: share of a lowering of the hips that is left a frame later.
-        max_drop: how far the hips come down at most.
-        least_change: smaller changes are left out.
+        ease_frames: frames over which a lock fades out (and in, in whole motions).
+        brake_frames: frames until a foot in contact stands still, for live characters.
+        max_slide: a foot predicted further than this from its lock takes a step to a new place.
+        max_wait: distance, as a multiple of max_slide, up to which a foot waits for the other foot's step.
+        step_frames, step_height: length of a step, and rise of its toe if it is max_slide long or longer.
+        max_reach: longest distance from hip to ankle, as a share of the straight leg.
+        hip_return: share of the hips' descent that is left after a frame.
+        max_drop: largest descent of the hips.
+        least_change: smaller shifts are ignored.
     """
 
     contact_on: float = 0.3
@@ -48,15 +48,16 @@ class LockSettings:
 
 @dataclass(frozen=True)
 class ToeSettings:
-    """At what height toes are held; lengths in cm of the canonical body.
+    """Heights of toes; lengths in cm of the canonical body.
 
     Attributes:
-        standing, slack: heights of a toe in contact lie within slack of standing.
-        lowest: height under which no toe goes that stands still, free of contact.
-        swing: height under which none goes that moves over the ground as fast as fast, in cm per frame, or faster;
-            lines between follow the 5 % of recorded toes that are lowest.
-        rise, fall: shares of the way to its height that a toe goes up or down in a frame.
-        max_pitch: radians that a foot is turned for its toe's height; the ankle does the rest.
+        standing, slack: a toe in contact is within slack of the standing height.
+        lowest: least height of a free toe that does not move.
+        swing: least height of a free toe that moves at `fast` or faster. The limit is linear in between, and 5 % of the
+            recorded toes are lower.
+        fast: speed over the ground in cm per frame; see swing.
+        rise, fall: share of the gap by which a toe rises or falls per frame.
+        max_pitch: largest turn of a foot in radians for its toe's height; the ankle moves for the rest.
     """
 
     standing: float = STANDING_HEIGHTS[1]
@@ -71,15 +72,15 @@ class ToeSettings:
 
 @dataclass(frozen=True)
 class HoldSettings:
-    """How feet in contact hold the root; lengths in cm of the canonical body.
+    """How the sliding of feet in contact corrects the root; lengths in cm of the canonical body.
 
     Attributes:
-        unsure, sure: a foot joint holds not at all below the first contact probability, fully above the second.
-        ankle_share: weight of ankles, which a foot rolls under, against toes.
-        ease: the less a joint moves in a frame beside this, the more it counts.
-        enough: sum of weights that holds fully.
-        limit: movement in a frame of which only half is taken out, and ever less of more: what is so far off is a step.
-        pace: share of the way to what feet say that the hold on the root goes in a frame, frame by frame: feet tremble.
+        unsure, sure: the weight of a foot joint rises from 0 at the first contact probability to 1 at the second.
+        ankle_share: weight of ankles against toes; lower, because ankles move while a foot rolls.
+        ease: movement (cm per frame) at which the weight of a joint halves.
+        enough: sum of weights at which the correction is full.
+        limit: sliding (cm per frame) at which the correction halves; a larger movement is a step.
+        pace: share of the gap by which the correction follows the feet per frame, because predicted feet tremble.
     """
 
     unsure: float = 0.3
@@ -96,49 +97,47 @@ LOCK, TOE, HOLD = LockSettings(), ToeSettings(), HoldSettings()
 # Weights of ankles and toes, in the order of FOOT_JOINTS.
 FOOT_SHARES = (HOLD.ankle_share, 1.0, HOLD.ankle_share, 1.0)
 
-# Hips, knees, ankles and toes, left and right.
+# Joint indices (4, 2) of hips, knees, ankles and toes, left and right.
 LEG_JOINTS = np.array(
     [[JOINT_NAMES.index(side + n) for side in ("Left", "Right")] for n in ("UpLeg", "Leg", "Foot", "ToeBase")]
 )
 HIPS, KNEES, ANKLES, TOES = LEG_JOINTS
 
-# Knees bent less than this (sine of the angle) take their axis more and more from the thigh.
+# A knee bent by less than BENT (sine of the angle) takes part of its axis from the thigh; THIGH_SHARE weighs that part.
 BENT, THIGH_SHARE = 0.3, 0.2
-# Cosine between the axis a knee is bent about and the thigh's side from which on it counts as that of its hinge.
+# Cosine between the bending axis of a knee and the thigh's side; above it the axis counts fully as the knee's hinge.
 ALIKE = 0.3
-# A knee that is bent backwards is stretched, and goes over to bending forwards while its leg shortens; so many times as
-# fast as a leg would that is bent forwards already.
+# A knee that is bent backwards is stretched, and bends forwards as its leg shortens: this many times as fast as a knee
+# that is bent forwards already.
 STRAIGHTENING = 1.5
-# Sine of the angle from which on a knee counts as bent backwards.
-BACKWARDS = 0.002
-# Feet whose horizontal part is below this share of their length are turned less.
-STEEP = 0.5
-# The thigh's own side (-x in its frame), about which a knee bends.
+BACKWARDS = 0.002  # sine of the angle above which a knee counts as bent backwards
+STEEP = 0.5  # horizontal share of a foot's length below which the foot pitches less
+# The side of the thigh (-x in its own frame), about which a knee bends.
 _SIDE = np.array([-1.0, 0.0, 0.0], np.float32)
 
 
 def lowest_free(steps: Array, scale: Array | float = 1.0) -> Array:
-    """Heights in cm under which free toes do not go, by how far they move over the ground in a frame.
+    """Least heights (...) in cm of free toes, by their speed over the ground.
 
-    Recorded toes that move are higher than standing ones: a foot that glides over the floor looks like one that slides.
+    Recorded toes that move are higher than standing ones. A low foot that moves looks like a sliding foot.
 
     Args:
         steps: (...) in cm per frame.
-        scale: (...) size of each body against the canonical one.
+        scale: (...) size of each body relative to the canonical one.
     """
     share = np.minimum(steps / (TOE.fast * scale), 1.0)
     return (TOE.lowest + (TOE.swing - TOE.lowest) * share) * scale
 
 
 def pitched_feet(positions: Array, shifts: Array) -> tuple[Array, Array]:
-    """How feet turn and ankles move for toes to move: a foot pitches for its toe's height, within limits.
+    """Find the pitch of feet and the shift of ankles that move toes; a foot pitches by at most TOE.max_pitch.
 
     Args:
         positions: (N, 23, 3) joint positions in cm.
-        shifts: (N, 2, 3) how far each toe moves, in cm.
+        shifts: (N, 2, 3) shift of each toe in cm.
 
     Returns:
-        World rotations (N, 2, 4) of the feet, and how far each ankle moves (N, 2, 3).
+        World rotations (N, 2, 4) of the feet, and shifts (N, 2, 3) of the ankles.
     """
     foot = positions[:, TOES] - positions[:, ANKLES]
     size = np.maximum(length(foot), 1e-6)
@@ -146,21 +145,21 @@ def pitched_feet(positions: Array, shifts: Array) -> tuple[Array, Array]:
     now = np.arcsin(np.clip(foot[..., 1] / size, -1.0, 1.0))
     then = np.arcsin(np.clip((foot[..., 1] + shifts[..., 1]) / size, -1.0, 1.0))
     angle = np.clip(then - now, -TOE.max_pitch, TOE.max_pitch) * np.clip(flat / (STEEP * size), 0.0, 1.0)
-    axis = np.zeros_like(foot)  # horizontal, to the side of the foot
+    axis = np.zeros_like(foot)  # horizontal, at right angles to the foot
     axis[..., 0], axis[..., 2] = -foot[..., 2], foot[..., 0]
     pitch = _about(axis / np.maximum(flat, 1e-6)[..., None], angle)
     return pitch, shifts + foot - quat_rotate(pitch, foot)
 
 
 def move_feet(rotations: Array, positions: Array, world: Array, pitch: Array, shifts: Array) -> None:
-    """Move feet by turning thighs, shins and feet of N bodies (or frames); legs of feet that stay are left as they are.
+    """Move feet by turning thighs, shins and feet of N bodies (or frames); legs without a shift stay as they are.
 
     Args:
         rotations: (N, 23, 4) local quaternions, changed in place.
         positions: (N, 23, 3) joint positions in cm, changed in place.
         world: (N, 23, 3, 3) world rotations of the joints before the change.
         pitch: (N, 2, 4) world rotations of the feet.
-        shifts: (N, 2, 3) how far each ankle moves, in cm.
+        shifts: (N, 2, 3) shift of each ankle in cm.
     """
     hips, knees, ankles, toes = (positions[:, joints] for joints in LEG_JOINTS)
     targets = ankles + shifts
@@ -172,7 +171,7 @@ def move_feet(rotations: Array, positions: Array, world: Array, pitch: Array, sh
     bent = quat_rotate(opened, ankles - knees) + knees - hips
     moved = hips + quat_rotate(swing, bent)
     into = np.swapaxes(world, -1, -2)
-    # World rotations of thigh, shin and foot, each as seen from the frame that it is applied in.
+    # World rotations of thigh, shin and foot, each in the frame of its parent.
     changes = np.stack(
         [
             _inside(into[:, :1], swing),
@@ -189,7 +188,7 @@ def move_feet(rotations: Array, positions: Array, world: Array, pitch: Array, sh
 
 
 def knees_backwards(positions: Array, thighs: Array) -> Array:
-    """Whether each knee (N, 2) is bent backwards, as no knee bends: move_feet stretches such legs.
+    """Whether each knee (N, 2) is bent backwards; move_feet stretches such legs.
 
     Args:
         positions: (N, 23, 3) joint positions in cm.
@@ -200,15 +199,15 @@ def knees_backwards(positions: Array, thighs: Array) -> Array:
 
 
 def foot_weights(holds: Array, moved: Array, scale: Array | float = 1.0) -> tuple[Array, Array]:
-    """Weigh what foot joints say about the movement of the root: the less a joint moves, the more it counts.
+    """Weigh foot joints for a correction of the root: a joint that moves less counts more.
 
     Args:
-        holds: (N, 4) how firmly each joint stands, 0 to its share of FOOT_SHARES.
-        moved: (N, 4) how far it has moved over the ground since the frame before, in cm.
-        scale: one, or (N, 1), size of each body against the canonical one.
+        holds: (N, 4) contact weight of each joint, 0 to its share of FOOT_SHARES.
+        moved: (N, 4) movement over the ground since the frame before, in cm.
+        scale: scalar or (N, 1), size of each body relative to the canonical one.
 
     Returns:
-        Weights (N, 4) whose sum is 1, or 0 where no joint stands, and how firmly all hold together (N,), 0 to 1.
+        Weights (N, 4) whose sum is 1, or 0 if no joint stands; and the strength (N,) of the correction, 0 to 1.
     """
     weights = holds / (moved + HOLD.ease * scale)
     weights = weights / (weights.sum(axis=1, keepdims=True) + 1e-9)
@@ -216,12 +215,12 @@ def foot_weights(holds: Array, moved: Array, scale: Array | float = 1.0) -> tupl
 
 
 def root_slip(before: Array, feet: Array, contacts: Array, scale: Array | float = 1.0) -> Array:
-    """How far feet in contact carry the root along with them over the ground (N, 2) since the frame before.
+    """Sliding (N, 2) of feet in contact since the frame before, to subtract from the root's position on the ground.
 
     Args:
         before, feet: (N, 4, 3) joints in the order of FOOT_JOINTS, in cm, of the frame before and of this one.
         contacts: (N, 4) probabilities.
-        scale: (N,) size of each body against the canonical one.
+        scale: (N,) size of each body relative to the canonical one.
     """
     size = np.broadcast_to(np.asarray(scale, feet.dtype), feet.shape[:1])[:, None]
     moved = (feet - before)[..., ::2]
@@ -233,18 +232,18 @@ def root_slip(before: Array, feet: Array, contacts: Array, scale: Array | float 
 
 
 def leg_turns(hips: Array, knees: Array, ankles: Array, side: Array, targets: Array) -> tuple[Array, Array]:
-    """World rotations of a thigh and of its shin that bring the ankle to a target.
+    """World rotations of a thigh and its shin that bring the ankle to a target.
 
-    The knee keeps the plane it is bent in; that of a nearly straight leg is the thigh's, so that knees always bend
-    forwards, and continuously in time. Targets out of reach are reached for. A leg whose knee is bent backwards is
-    stretched, past its target until that is much nearer.
+    The knee keeps its bending plane. A nearly straight leg takes that plane from the thigh, so that knees always bend
+    forwards, and continuously in time. The leg points towards a target out of reach. A leg whose knee is bent backwards
+    is stretched, past its target until that is much nearer.
 
     Args:
         hips, knees, ankles, targets: (..., 3) in cm.
-        side: (..., 3) the thigh's own side: unit axis about which a turn of the shin stretches the leg.
+        side: (..., 3) side of the thigh: the unit axis about which a turn of the shin stretches the leg.
 
     Returns:
-        swing (..., 4) of thigh and shin, and opened (..., 4) of the shin, which is applied first.
+        swing (..., 4) of thigh and shin, and opened (..., 4) of the shin, which comes first.
     """
     thigh, shin = knees - hips, ankles - knees
     thigh_length, shin_length = length(thigh), length(shin)
@@ -253,7 +252,7 @@ def leg_turns(hips: Array, knees: Array, ankles: Array, side: Array, targets: Ar
     whole = thigh_length + shin_length
     reach = np.maximum(length(targets - hips), np.abs(thigh_length - shin_length) + 0.5)
     reach = np.minimum(reach, np.maximum(LOCK.max_reach * whole, now))
-    # Squared distance from hip to ankle over the angle p of the shin about the axis: along + 2 (b cos p + c sin p).
+    # With the shin at angle p about the axis, the squared distance from hip to ankle is along + 2 (b cos p + c sin p).
     turned = cross(axis, shin)
     on_axis = (thigh * axis).sum(-1) * (shin * axis).sum(-1)
     b, c = (thigh * shin).sum(-1) - on_axis, (thigh * turned).sum(-1)
@@ -268,16 +267,16 @@ def leg_turns(hips: Array, knees: Array, ankles: Array, side: Array, targets: Ar
 
 
 def _backwards(hips: Array, knees: Array, ankles: Array, side: Array) -> Array:
-    """Whether knees (...) are bent backwards, from positions and sides (..., 3)."""
+    """Whether knees (...) are bent backwards, from positions and thigh sides (..., 3)."""
     thigh, shin = knees - hips, ankles - knees
     return (cross(shin, thigh) * side).sum(-1) < -BACKWARDS * length(thigh) * length(shin)
 
 
 def _knee_axis(thigh: Array, shin: Array, side: Array) -> Array:
-    """Unit axes (..., 3) about which knees stretch, from unit vectors (..., 3)."""
+    """Unit axes (..., 3) about which knees stretch, from unit vectors (..., 3) of thighs, shins and thigh sides."""
     axis = cross(shin, thigh)
     alike = (axis * side).sum(-1) / np.maximum(length(axis), 1e-9)
-    axis = np.clip(alike / ALIKE, -1.0, 1.0)[..., None] * axis  # of a knee bent backwards the other way round
+    axis = np.clip(alike / ALIKE, -1.0, 1.0)[..., None] * axis  # reversed for a knee bent backwards
     share = THIGH_SHARE * np.clip(1.0 - length(axis) / BENT, 0.0, 1.0)
     return normalized(axis + share[..., None] * side)
 
@@ -289,7 +288,7 @@ def _about(axis: Array, angle: Array) -> Array:
 
 
 def _inside(into: Array, quat: Array) -> Array:
-    """World rotations (..., 4) as seen from frames whose transposed matrices (..., 3, 3) are given."""
+    """World rotations (..., 4) expressed in frames with the given transposed matrices (..., 3, 3)."""
     out = quat.copy()
     out[..., 1:] = np.matmul(into, quat[..., 1:, None])[..., 0]
     return out

@@ -1,10 +1,10 @@
-"""The mirror image of a motion on the same skeleton, by a plan of twin joints and reflections (rig/mirror.py).
+"""Mirrors a motion on its own skeleton, by a plan of twin joints and reflections (rig/mirror.py).
 
-The world is reflected in a vertical plane through the origin. The frame of each joint becomes the mirror image of
-its twin's frame. A mirror image of a frame is left-handed, so it is reflected again, by signs of the joint: with the
-world's reflection M and R(j) = diag(+-1, +-1, +-1) of determinant -1, the mirrored global rotation of joint j is
-M G(twin) R(j), and its local rotation is R(parent) L(twin) R(j). With signs that map the bones of one side to those
-of the other, all positions are exactly mirrored if both sides have equal lengths.
+The world is reflected in a vertical plane through the origin. The frame of each joint becomes the mirror image of its
+twin's frame. That image is left-handed, so it is reflected again, by signs of the joint. With the reflection M of the
+world and R(j) = diag(+-1, +-1, +-1) of determinant -1, the mirrored global rotation of joint j is M G(twin) R(j), and
+its local rotation is R(parent) L(twin) R(j). If the signs map the bones of one side to those of the other, and both
+sides have equal lengths, all positions are mirrored exactly.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_multiply
 from motionkit.motion.skeleton import Skeleton
 
-# The possible reflections of a joint's frame: of one axis, or of all three, for rigs whose right side is built so
-# that equal angles make mirrored poses.
+# Possible reflections of a joint's frame: of one axis, or of all three. The last is for rigs on which equal angles make
+# mirrored poses.
 Signs = tuple[float, float, float]
 REFLECTIONS: tuple[Signs, ...] = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0))
 
@@ -41,7 +41,7 @@ class MirrorPlan:
 
 
 def mirrored(motion: Motion, plan: MirrorPlan) -> Motion:
-    """Mirror a motion: left and right swapped, on the same skeleton; the world is reflected as the plan says."""
+    """Swap left and right of a motion on the same skeleton, and reflect the world, by a plan."""
     skeleton, twins = motion.skeleton, plan.twins
     rotations = [
         reflect_rotations(motion.local_rotations[:, twin], plan.outer(skeleton, joint), plan.joints[joint])
@@ -61,10 +61,10 @@ def mirrored(motion: Motion, plan: MirrorPlan) -> Motion:
 
 
 def mirrored_bvh(bvh: BvhFile, plan: MirrorPlan) -> BvhFile:
-    """Mirror a BVH file: left and right swapped, with the same hierarchy and channels.
+    """Swap left and right of a BVH file, with the same hierarchy and channels.
 
-    If twins have their channels in the same order, angles only change signs or shift by half turns, so mirroring
-    twice restores the file.
+    If twins have their channels in the same order, angles only change signs or shift by half turns. So mirroring twice
+    restores the file.
 
     Raises:
         SkeletonError: twins have different channels.
@@ -131,11 +131,11 @@ def _half_turn_axis(outer: Signs, inner: Signs) -> int | None:
 def _reflect_angles(
     angles: NDArray[np.float64], order: str, outer: Signs, inner: Signs
 ) -> NDArray[np.float64] | None:
-    """Euler angles (T, len(order)) in degrees of diag(outer) q diag(inner), or None if order has too few axes.
+    """Euler angles (T, len(order)) in degrees of diag(outer) q diag(inner); None if order has too few axes.
 
-    A reflection multiplies an angle about axis k by -outer[k]. A half turn after the rotation commutes past the
-    angles that follow its axis and negates them. A half turn about the middle axis is expressed by half turns about
-    the other two, so that the middle angle stays within a quarter turn.
+    A reflection multiplies an angle about axis k by -outer[k]. A half turn after the rotation commutes past the angles
+    that follow its axis and negates them. A half turn about the middle axis becomes half turns about the other two, so
+    that the middle angle stays within a quarter turn.
     """
     signs = np.array([-outer["XYZ".index(axis)] for axis in order])
     half_turn = _half_turn_axis(outer, inner)
@@ -152,10 +152,10 @@ def _reflect_angles(
 
 
 def _half_turn_shift(angles: NDArray[np.float64], sign: float) -> float:
-    """A shift of 180 degrees up or down for a whole column, chosen so that a second shift undoes the first.
+    """A shift of 180 degrees up or down for a whole column, such that a second shift undoes the first.
 
-    The mean angle selects a half circle. Unreflected angles move up from even halves and down from odd ones;
-    reflected angles are reflected about the middle of their half.
+    The mean angle selects a half circle. Unreflected angles move up from even halves and down from odd ones. Reflected
+    angles are reflected about the middle of their half.
     """
     mean = float(angles.mean())
     if sign > 0:

@@ -22,8 +22,8 @@ class Motion:
         local_rotations: (T, J, 4) unit quaternions w, x, y, z in parent space.
         root_positions: (T, 3) root joint in the world, in the skeleton's unit (cm within motionkit).
         fps: frames per second.
-        local_positions: (T, J, 3) for rigs whose joints translate relative to their parents (six-channel joints),
-            else None; the root's row is not used.
+        local_positions: (T, J, 3) for rigs whose joints translate relative to their parents (six-channel joints), else
+            None. The row of the root is not used.
     """
 
     skeleton: Skeleton
@@ -37,11 +37,11 @@ class Motion:
 
     @property
     def seconds(self) -> float:
-        """Duration, counting each frame as 1 / fps."""
+        """Duration; each frame counts as 1 / fps."""
         return len(self) / self.fps
 
     def moving_joints(self) -> list[int]:
-        """The root, and the joints that do not stay at their offsets."""
+        """Indices of the root and of all joints that leave their offsets."""
         if self.local_positions is None:
             return [0]
         away = np.abs(self.local_positions - self.skeleton.offsets).max(axis=(0, 2), initial=0.0)
@@ -79,7 +79,7 @@ class Motion:
 def longest_seconds(fps: float) -> float:
     """The longest accepted recording in seconds: four hours at capture rates, one hour at slower rates.
 
-    Both fit in memory at 60 fps; at a slow rate even a small file would become many frames.
+    Both fit in memory at 60 fps. At a slow rate even a small file would become many frames.
     """
     return 4 * 3600.0 if fps > 29.0 else 3600.0
 

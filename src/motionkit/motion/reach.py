@@ -1,6 +1,6 @@
 """Whole-body inverse kinematics of one pose: joints reach points, by damped least squares.
 
-Limbs turn most, the spine a little, and the root moves where they cannot reach alone.
+Limbs turn most, the spine turns a little, and the root moves too if it may.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from motionkit.motion.rotations import expmap_to_quat, quat_inverse, quat_multip
 from motionkit.motion.skeleton import Skeleton
 
 ITERATIONS = 60
-DAMPING = 4.0  # cm of error that counts as much as a turn of one radian of a joint of weight 1
+DAMPING = 4.0  # cm of error that cost as much as a turn of one radian at weight 1
 STIFF = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder")
-STIFF_WEIGHT = 0.15
-ROOT_WEIGHT = 3.0  # cm that the root moves as readily as a limb turns by a radian
-NEAR = 0.01  # cm; nearer is reached
+STIFF_WEIGHT = 0.15  # weight of the stiff joints; limbs have 1
+ROOT_WEIGHT = 3.0  # cm of root movement that cost as much as a turn of one radian at weight 1
+NEAR = 0.01  # cm; error at which the iterations end
 
 
 def reach(
     rotations: Array, root: Array, skeleton: Skeleton, targets: dict[int, Array], root_moves: bool = True
 ) -> tuple[Array, Array, float]:
-    """The pose near a given one in which joints are at points.
+    """Find a pose near a given one in which joints are at their points.
 
     Args:
         rotations: (J, 4) local rotations.
-        root: (3,) place of the root, cm.
-        skeleton: the joints, in cm.
+        root: (3,) position of the root, cm.
+        skeleton: the skeleton, in cm.
         targets: joint index to its point (3,) in the world, cm.
         root_moves: whether the root may move along the ground.
 
@@ -37,7 +37,7 @@ def reach(
     """
     turns, place = rotations.astype(np.float64), root.astype(np.float64)
     weights = np.array([STIFF_WEIGHT if name in STIFF else 1.0 for name in skeleton.names])
-    weights[0] = 0.0  # the body faces where it faced
+    weights[0] = 0.0  # the body keeps its heading
     goal = np.concatenate([targets[joint] for joint in targets]).astype(np.float64)
     for _ in range(ITERATIONS):
         world, at = forward_kinematics(turns, place, skeleton.offsets.astype(np.float64), skeleton.parents)
@@ -45,7 +45,7 @@ def reach(
         if float(np.abs(missing).max()) < NEAR:
             break
         slopes, columns = _slopes(at, skeleton, list(targets), weights, root_moves)
-        # Shorter steps far away: turns of more than half a radian leave the line they were computed on.
+        # Short steps while far away, because the linear model fails for turns of more than half a radian.
         error = missing * min(1.0, 15.0 / max(float(np.linalg.norm(missing)), 1e-9))
         damping = (DAMPING if float(np.linalg.norm(missing)) > 5.0 else 0.5) ** 2 * np.eye(len(slopes))
         step = slopes.T @ np.linalg.solve(slopes @ slopes.T + damping, error)
@@ -65,7 +65,7 @@ def reach(
 def _slopes(
     at: Array, skeleton: Skeleton, joints: list[int], weights: Array, root_moves: bool
 ) -> tuple[Array, list[int]]:
-    """How the points (3 N) of joints move with turns about world axes, and the joints that turn, above them."""
+    """The Jacobian of the joints' positions (3 N rows) for turns about world axes, and the joints that turn."""
     above: dict[int, set[int]] = {}
     for joint in joints:
         chain, parent = set(), skeleton.parents[joint]

@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike
 
 from motionkit.arrays import Array, cross, length, normalized
 
-# Below this angle, series replace the trigonometric quotients, which avoids 0 / 0.
+# Angle in radians below which series replace the trigonometric quotients, to avoid 0 / 0.
 SMALL_ANGLE = 1e-4
 
 
@@ -35,7 +35,7 @@ def quat_inverse(quat: Array) -> Array:
 
 
 def quat_multiply(a: Array, b: Array) -> Array:
-    """The product a b (..., 4), which rotates by b first, then by a."""
+    """The product a b (..., 4): a rotation by b, then by a."""
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack(
@@ -70,7 +70,7 @@ def quat_to_matrix(quat: Array) -> Array:
 def matrix_to_quat(matrix: Array) -> Array:
     """Unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3).
 
-    Each of the four components gives one candidate; the one with the largest leading component is best conditioned.
+    Each of the four components gives a candidate; the one with the largest leading component is best conditioned.
     """
     m = np.moveaxis(matrix.reshape(*matrix.shape[:-2], 9), -1, 0)
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m

@@ -17,8 +17,8 @@ class Skeleton:
     Attributes:
         names: J joint names, parents before children; the first is the root.
         parents: J parent indices; the root's is -1.
-        offsets: (J, 3) positions relative to the parent in the rest pose, in which all rotations are identity.
-        end_sites: joint index to the (3,) offset of the end of its bone.
+        offsets: (J, 3) positions relative to the parent in the rest pose; all its rotations are identity.
+        end_sites: joint index to the offset (3,) of its bone's end.
     """
 
     names: tuple[str, ...]
@@ -41,7 +41,7 @@ class Skeleton:
         return [j for j, parent in enumerate(self.parents) if parent == joint]
 
     def descends(self, joint: int, above: int) -> bool:
-        """Whether a joint is another one or descends from it."""
+        """Whether a joint descends from the joint `above`, or is the same."""
         while joint > above:
             joint = self.parents[joint]
         return joint == above
@@ -63,8 +63,8 @@ class Skeleton:
         return self.names == other.names and self.parents == other.parents
 
 
-# Name, parent, offset in cm. The rest pose is that of CMU (arms level, legs spread 20 degrees); the offsets are
-# medians over the CMU subjects, made symmetric. docs/measure_offsets.py measures them.
+# Name, parent and offset in cm. The rest pose is that of CMU (arms level, legs spread by 20 degrees). The offsets are
+# medians over the CMU subjects, made symmetric (docs/measure_offsets.py).
 _CANONICAL: tuple[tuple[str, str, tuple[float, float, float]], ...] = (
     ("Hips", "", (0.0, 0.0, 0.0)),
     ("LeftUpLeg", "Hips", (9.14, -10.04, 4.01)),
@@ -127,7 +127,7 @@ def canonical_skeleton(offsets: Array | None = None) -> Skeleton:
     """The canonical skeleton of 23 joints in cm, facing +Z with left along +X.
 
     Args:
-        offsets: (23, 3) of another body in cm; end sites are scaled with the bones they end.
+        offsets: (23, 3) offsets of another body in cm; each end site is scaled with its joint's offset.
 
     Raises:
         SkeletonError: offsets have another shape.

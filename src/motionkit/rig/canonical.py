@@ -1,4 +1,4 @@
-"""A BVH file in, a motion on the canonical joints out, with notes on the conversion."""
+"""Reads any BVH file as a motion on the canonical joints, with notes on the conversion."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from motionkit.rig.units import LONGEST_LEG, PLAUSIBLE_LEG, SHORTEST_LEG, guess_
 def load_canonical(
     path: str | Path, scale: float | None = None, fps: float | None = None
 ) -> tuple[Motion, list[str]]:
-    """The motion of a BVH file on the 23 canonical joints, in cm at the file's rate, and notes for the reader.
+    """Read a BVH file as a motion on the 23 canonical joints, in cm at the file's rate; also returns notes.
 
-    A file that already has the 23 joints keeps its proportions, and is in cm if its legs can be that long; any other
-    rig is retargeted.
+    A file that already has the 23 joints keeps its proportions, and is in cm if its legs have a plausible length. Any
+    other rig is retargeted.
 
     Args:
         path: BVH file of any rig.
@@ -46,7 +46,7 @@ def load_canonical(
 
 
 def _detected_unit(name: str, skeleton: Skeleton) -> tuple[float, list[str]]:
-    """cm per unit of a file with the canonical joints, and a note if that is not 1."""
+    """Detect cm per unit of a file with the canonical joints, with a note if that is not 1."""
     leg = leg_length(skeleton)
     if PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1] or not SHORTEST_LEG <= leg <= LONGEST_LEG:
         return 1.0, []
@@ -55,9 +55,9 @@ def _detected_unit(name: str, skeleton: Skeleton) -> tuple[float, list[str]]:
 
 
 def canonical_motion(motion: Motion, own_body: bool = False, scale: float | None = None) -> Motion:
-    """A motion of any human rig on the 23 canonical joints, in cm, at its own rate.
+    """Convert a motion of any human rig to the 23 canonical joints, in cm, at its own rate.
 
-    A motion that already has the 23 joints is taken to be in cm and keeps its proportions.
+    A motion that already has the 23 joints must be in cm; it keeps its proportions.
 
     Args:
         own_body: keep the bone lengths of other rigs too.

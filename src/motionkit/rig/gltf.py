@@ -1,4 +1,4 @@
-"""Builds and takes apart binary glTF 2.0 files: a JSON document and one buffer."""
+"""Writes and reads binary glTF 2.0 files: a JSON document and one buffer."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _version() -> str:
 
 @dataclass
 class GltfDocument:
-    """A document under construction: lists of the JSON by name, and the bytes of the buffer."""
+    """A document to write: its JSON, and the bytes of its buffer."""
 
     json: dict[str, Any] = field(
         default_factory=lambda: {"asset": {"version": "2.0", "generator": f"motionkit {_version()}"}}
@@ -89,10 +89,10 @@ class GltfDocument:
 
 
 class GltfFile:
-    """A binary glTF file that was read: its JSON and its arrays."""
+    """A binary glTF file: its JSON and its arrays."""
 
     def __init__(self, path: str | Path) -> None:
-        """Read a file; raises MotionkitError, naming it, if it is no binary glTF 2.0 file."""
+        """Read a file; raises MotionkitError, naming it, if it is not a binary glTF 2.0 file."""
         self.path = path
         data = read_bytes(path, MAX_BYTES, "a binary glTF file")
         if len(data) < 20 or struct.unpack_from("<I", data)[0] != MAGIC:

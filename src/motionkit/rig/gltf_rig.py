@@ -1,7 +1,7 @@
 """Reads the rig of a binary glTF file (.glb) or an avatar (.vrm) as a BVH file of one frame, its rest pose.
 
-Nodes may have any rest rotations; a BVH file has none, so the joints get the
-axes of the world, as Blender writes an armature to BVH. Lengths are metres and Y is up, as in every glTF file.
+Nodes may have any rest rotations, but a BVH file has none. So the joints get the axes of the world, as when Blender
+writes an armature to BVH. Lengths are in metres and Y is up, as in every glTF file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.gltf import GltfFile
 
 _FRAME_TIME = 1.0 / 60.0
-# VRM's names of the bones that have a canonical joint, without the side; spine and collars are found between them.
+# VRM names of limb bones and their canonical joints, without the side. Spine and collars are found between the limbs.
 _VRM_LIMBS = {
     "UpperLeg": "UpLeg", "LowerLeg": "Leg", "Foot": "Foot", "Toes": "ToeBase",
     "UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand",
@@ -36,7 +36,7 @@ class GltfRig:
 
     Attributes:
         bvh: its joints in the rest pose, in metres.
-        humanoid: canonical limb joints, hips and head to joints where the file is an avatar that names them.
+        humanoid: canonical limb joints, hips and head to joint indices, if an avatar's bone table names them.
     """
 
     bvh: BvhFile
@@ -44,7 +44,7 @@ class GltfRig:
 
 
 def read_gltf_rig(path: str | Path) -> GltfRig:
-    """Read the rig of a .glb or .vrm file; raises MotionkitError, naming the file, if it has none that is usable."""
+    """Read the rig of a .glb or .vrm file; raises MotionkitError, naming the file, if it has no usable rig."""
     tree = _Nodes(GltfFile(path))
     humanoid = tree.humanoid()
     joints = tree.joints(set(humanoid.values()))
@@ -67,7 +67,7 @@ def read_gltf_rig(path: str | Path) -> GltfRig:
 
 
 class _Nodes:
-    """The nodes of a file, their parents, and their places in the world at rest."""
+    """The nodes of a file, their parents, and their world positions in the rest pose."""
 
     def __init__(self, file: GltfFile) -> None:
         self.file, self.fault = file, file.fault
@@ -136,7 +136,7 @@ class _Nodes:
         return np.array(value, np.float64)
 
     def humanoid(self) -> dict[str, int]:
-        """Canonical limb joints, hips and head to nodes, from the bone table of VRM 0.x or 1.0; empty without one."""
+        """Map canonical limb joints, hips and head to nodes by the bone table of VRM 0.x or 1.0; empty without one."""
         extensions = self.file.json.get("extensions")
         extensions = extensions if isinstance(extensions, dict) else {}
         table: dict[str, Any] = {}
@@ -161,7 +161,7 @@ class _Nodes:
         return found
 
     def joints(self, humanoid: set[int]) -> list[int]:
-        """The nodes of the rig, from its root down: those of the skins and of the avatar, and all between them."""
+        """The nodes of the rig, parents first: those of skins and avatar, and all between them and the rig's root."""
         wanted = set(humanoid)
         for skin in self.file.items("skins"):
             wanted |= set(self._indices(skin.get("joints", []), "joints of a skin"))
@@ -179,7 +179,7 @@ class _Nodes:
         return [node for node in self.order if node in inside]
 
     def _main(self, roots: Counter[int]) -> int:
-        """The scene node that carries the rig, of those that carry joints."""
+        """The top node above the most joints; raises MotionkitError if another one has at least half as many."""
         (first, count), *others = roots.most_common()
         if others and 2 * others[0][1] >= count:
             names = f"{self.name(first)} and {self.name(others[0][0])}"
@@ -187,19 +187,19 @@ class _Nodes:
         return first
 
     def _paths(self, node: int) -> list[int]:
-        """The nodes from the scene to a node."""
+        """The nodes from a top node to a node, both included."""
         path = [node]
         while self.parents[path[-1]] >= 0:
             path.append(self.parents[path[-1]])
         return path[::-1]
 
     def _common(self, nodes: list[int]) -> int:
-        """The deepest node that carries all of these, or is one of them."""
+        """The deepest common ancestor of some nodes, which may be one of them."""
         paths = [self._paths(node) for node in nodes]
         return [steps[0] for steps in zip(*paths, strict=False) if len(set(steps)) == 1][-1]
 
     def names(self, nodes: list[int]) -> tuple[str, ...]:
-        """Names that a BVH file can hold, all different."""
+        """Unique names that a BVH file can hold."""
         out: list[str] = []
         for node in nodes:
             name = re.sub(r"[\s{}]+", "_", self.name(node).strip())[: MAX_NAME - 8]

@@ -1,4 +1,4 @@
-"""Bone maps as JSON files that a user can edit: joint names of a rig to canonical joints.
+"""Bone maps: JSON files that a user can edit, from joint names of a rig to canonical joints.
 
 {"joints": {"Bip01_Pelvis": "Hips", "Bip01_L_Thigh": "LeftUpLeg", "Bip01_Ponytail": null}}
 """
@@ -19,7 +19,7 @@ _MOST_BYTES = 2**20
 
 
 def write_rig_map(path: str | Path, skeleton: Skeleton, joints: RigMap) -> None:
-    """Write a bone map: every joint of the rig in its order, null for those without a canonical joint."""
+    """Write a bone map with every joint of the rig in its order; joints without a canonical joint get null."""
     names = {joint: name for name, joint in joints.places.items()}
     value = {"joints": {name: names.get(joint) for joint, name in enumerate(skeleton.names)}}
     with atomic_write(path) as file:
@@ -30,8 +30,8 @@ def read_rig_map(path: str | Path, skeleton: Skeleton) -> RigMap:
     """Read a bone map for a skeleton; joints that it does not name have no canonical joint.
 
     Raises:
-        MotionkitError: the file is not a bone map, names a joint twice, or one that the skeleton does not have.
-        SkeletonError: the map is not a body: a limb is missing, or a shin does not hang from its thigh.
+        MotionkitError: the file is not a bone map, names a joint twice, or names one that the skeleton lacks.
+        SkeletonError: the map does not describe a body: a limb is missing, or a shin is not below its thigh.
     """
     places: dict[str, int] = {}
     for joint, canonical in _pairs(path):
@@ -55,7 +55,7 @@ def read_rig_map(path: str | Path, skeleton: Skeleton) -> RigMap:
 
 
 def _pairs(path: str | Path) -> list[tuple[str, Any]]:
-    """Joints and what they are mapped to, in the order of the file."""
+    """Joint names and their targets, in the order of the file."""
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
@@ -76,7 +76,7 @@ def _pairs(path: str | Path) -> list[tuple[str, Any]]:
 
 
 def _index(path: str | Path, joint: str, skeleton: Skeleton) -> int:
-    name = "_".join(joint.split())  # as read_bvh reads names with spaces
+    name = "_".join(joint.split())  # read_bvh replaces spaces in names in the same way
     if name not in skeleton.names:
         raise MotionkitError(f"{path}: the rig has no joint {joint[:40]!r}" + _near(name, skeleton.names))
     return skeleton.names.index(name)

@@ -1,4 +1,4 @@
-"""How any rig with left and right joints is mirrored: its twin joints and reflections; mirrored files and folders."""
+"""Mirrors motions, files and folders of any rig with left and right joints: finds its twins and reflections."""
 
 from __future__ import annotations
 
@@ -22,22 +22,19 @@ from motionkit.rig.shape import twins_by_shape
 from motionkit.rig.sides import left_right_twins
 from motionkit.rig.up_axis import up_axis
 
-# A bone votes against a reflection if its error, as a share of its length, exceeds another reflection's by this much;
-# the sides of real subjects differ by far less.
+# A bone votes against a reflection if its error, as a share of its length, exceeds that of another reflection by this
+# much. The sides of real subjects differ by far less.
 _SPEAKS_AGAINST = 0.5
-# Share of bones that must vote against it; a single prop or mesh node does not count as the rig.
-_ODD_SHARE = 0.15
-# Bones shorter than this share of the mean bone do not vote: their direction is noise.
-_SHORT_SHARE = 0.05
-# A joint whose place varies by less than this share of the mean bone is at the end of a rigid bone.
-_RIGID_SHARE = 0.01
-_SAMPLES = 32  # poses that show the shape of a rig without names
+_ODD_SHARE = 0.15  # share of bones that must vote against it; a single prop or mesh node must not decide
+_SHORT_SHARE = 0.05  # of the mean bone; shorter bones do not vote, because their direction is noise
+_RIGID_SHARE = 0.01  # of the mean bone; a joint whose position varies by less ends a rigid bone
+_SAMPLES = 32  # poses from which a rig without known names is mapped
 
 
 def mirror_plan(motion: Motion) -> MirrorPlan:
-    """Find twins by name, or by shape where no name has a side, and reflections by rest pose and mean pose.
+    """Find twins by name, or by shape if no name has a side, and reflections by rest pose and mean pose.
 
-    The plan of a motion and of its mirror image are equal.
+    A motion and its mirror image get the same plan.
 
     Raises:
         SkeletonError: the rig has no left and right, or its sides have different hierarchies.
@@ -47,7 +44,7 @@ def mirror_plan(motion: Motion) -> MirrorPlan:
     places, rigid = _mean_places(motion)
     axis = _common_axis(twins, places, rigid)
     up = int(np.abs(up_axis(motion_kinematics(motion)[1], skeleton)).argmax())
-    world = REFLECTIONS[2 if up == 0 else 0]  # level, whatever the rig
+    world = REFLECTIONS[2 if up == 0 else 0]  # a horizontal axis for every rig
     if axis is not None:
         signs = REFLECTIONS[axis]
         return MirrorPlan(twins, world if axis == up else signs, (signs,) * len(skeleton))
@@ -80,7 +77,7 @@ def _checked_twins(motion: Motion) -> tuple[int, ...]:
 
 
 def _some_poses(motion: Motion) -> Motion:
-    """A few frames from all over a motion, which show the shape of its rig."""
+    """About _SAMPLES frames, spread over a motion."""
     some = slice(None, None, max(1, len(motion) // _SAMPLES))
     places = None if motion.local_positions is None else motion.local_positions[some]
     return replace(
@@ -92,7 +89,7 @@ def _some_poses(motion: Motion) -> Motion:
 
 
 def _mean_places(motion: Motion) -> tuple[Array, tuple[bool, ...]]:
-    """Mean positions (J, 3) in parent space, and whether each joint stays at its position."""
+    """Mean positions (J, 3) in parent space, and whether each joint keeps its position."""
     count = len(motion.skeleton)
     if motion.local_positions is None:
         return motion.skeleton.offsets.astype(np.float64), (False,) + (True,) * (count - 1)
@@ -134,9 +131,9 @@ def _own_reflections(
             found.append(found[twin])
             continue
         outer = found[parent] if joint else world
-        known = not joint or not rigid[joint]  # a joint that travels has no meaningful mean rotation
+        known = not joint or not rigid[joint]  # the mean rotation of a joint that translates says nothing
         costs = []
-        # The parent's reflection comes first, so that it wins ties.
+        # The parent's reflection comes first, so it wins ties.
         for signs in sorted(REFLECTIONS, key=lambda candidate: candidate != outer):
             bones = _bone_misfit(skeleton, joint, signs, twins, places, rigid)
             turned = reflect_rotations(means[twin], outer, signs)
@@ -160,7 +157,7 @@ def _bone_misfit(
     below = [child for child in skeleton.children(joint) if rigid[child]]
     pairs = [(places[child], places[twins[child]]) for child in below]
     if not joint and all(twins[child] == child for child in below):
-        return 0.0  # the place of the hips above a root on the floor says nothing about left and right
+        return 0.0  # an offset from a root on the floor to the hips says nothing about left and right
     if joint in skeleton.end_sites and twin in skeleton.end_sites:
         own, other = (np.array(skeleton.end_sites[j], places.dtype) for j in (joint, twin))
         pairs.append((own, other))
@@ -170,9 +167,9 @@ def _bone_misfit(
 
 
 def mirror_motion(motion: Motion) -> Motion:
-    """Mirror a motion: left and right swapped, on the same skeleton, for any rig with left and right joints.
+    """Swap left and right of a motion on the same skeleton, for any rig with left and right joints.
 
-    The world is reflected along the rig's left-right axis, which is X for the canonical skeleton.
+    The world is reflected along the rig's left-right axis, X for the canonical skeleton.
 
     Raises:
         SkeletonError: the rig has no left and right.
@@ -190,7 +187,7 @@ def mirror_bvh(bvh: BvhFile) -> BvhFile:
 
 
 def mirror_file(source: str | Path, target: str | Path) -> None:
-    """Write the mirror image of a BVH file under its hierarchy; raises MotionkitError, naming it, if that cannot be."""
+    """Write the mirror image of a BVH file with its hierarchy text; raises MotionkitError, naming the file."""
     check_outputs([target], [source])
     bvh = read_bvh(source)
     try:
@@ -208,19 +205,19 @@ def mirror_folder(
     strict: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[Path, MotionkitError | None]]:
-    """Mirror every BVH file below a folder to the same place below another, one at a time.
+    """Mirror every BVH file below a folder to the same relative path below another, one at a time.
 
     Args:
         source: folder to read.
         target: folder to write, outside source.
         strict: raise the error of a file instead of yielding it.
-        progress: called with the number of files done and of all files.
+        progress: called with the number of finished files and of all files.
 
     Yields:
-        Each file with None, or with its error if it could not be mirrored.
+        Each file with None, or with its error if mirroring failed.
 
     Raises:
-        OverwriteError: a target is also a source, or lies in it; nothing has been written.
+        OverwriteError: a target is also a source, or is inside the source folder; nothing is written.
         MotionkitError: there is no BVH file.
     """
     source, target = Path(source), Path(target)

@@ -1,9 +1,9 @@
 """Maps the joints of other rigs to canonical joints: limbs by name or else by shape, the torso by hierarchy.
 
-A name gives a side and a part: "mixamorig:LeftUpLeg", "Bip01 L Thigh", "thigh.L" and "lThigh" are all the left
-thigh. Some words differ between rigs: "LeftShoulder" is a collar bone in one and an upper arm in another, and
-"LeftHip" and "LeftLeg" are ambiguous too; the other joints of the same side decide. Spine, neck and collar joints
-are found on the paths between the limbs, whatever their names.
+A name gives a side and a part: "mixamorig:LeftUpLeg", "Bip01 L Thigh", "thigh.L" and "lThigh" all name the left thigh.
+Some words differ between rigs: "LeftShoulder" is a collar bone in one and an upper arm in another. "LeftHip" and
+"LeftLeg" are ambiguous too. The other joints of the same side decide. Spine, neck and collar joints are found on the
+paths between the limbs, whatever their names.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from motionkit.rig.shape import ShapeGuess, limbs_by_shape
 from motionkit.rig.sides import joint_sides
 
-# Part to its words, in lower case, without separators and digits. "shoulder", "arm", "hip" and "leg" are separate
-# parts because they are ambiguous.
+# Words of each part, in lower case, without separators and digits. "shoulder", "arm", "hip" and "leg" are parts of
+# their own because they are ambiguous.
 PARTS: dict[str, tuple[str, ...]] = {
     "thigh": ("thigh", "upleg", "upperleg", "uleg", "legupper", "femur", "thighbend"),
     "hip": ("hip",),
@@ -40,7 +40,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "hips": ("hips", "pelvis"),
     "neck": ("neck", "lowerneck", "upperneck", "necklower", "neckupper", "neckbase", "neckmiddle"),
     "head": ("head", "skull"),
-    # Known joints that are not mapped: those between or beside the canonical ones.
+    # Joints between or beside the canonical ones, which are not mapped.
     "other": (
         "hipjoint", "buttock", "end", "nub", "site", "tip", "roll", "twist", "ik", "pole", "target",
         "effector", "rigmesh", "mesh", "helper", "finger", "fingers", "fingerbase", "thumb", "index",
@@ -50,10 +50,10 @@ PARTS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 WORDS: dict[str, str] = {word: part for part, words in PARTS.items() for word in words}
 SIDES: dict[str, str] = {"left": "Left", "right": "Right", "l": "Left", "r": "Right"}
-# Places of the canonical spine joints between hips (0) and shoulders (1).
+# Heights of the canonical spine joints between hips (0) and shoulders (1).
 SPINE_SHARES: dict[str, float] = {"LowerBack": 0.0, "Spine": 0.28, "Spine1": 0.56}
 
-# Parts of the joints between the limbs, and words for the spine, by which a name says that it is one of them.
+# Parts that a name may have to confirm a joint between the limbs, and words that confirm a spine joint.
 _BETWEEN = {
     "Hips": ("hips", "hip"), "Neck": ("neck",), "Neck1": ("neck",), "Head": ("head",),
     "LeftShoulder": ("collar", "shoulder"), "RightShoulder": ("collar", "shoulder"),
@@ -63,7 +63,7 @@ _SPINE_WORDS = re.compile(
 )
 
 _NEEDED = tuple(f"{side}{part}" for side in ("Left", "Right") for part in ("UpLeg", "Leg", "Arm", "ForeArm"))
-# The ending of a limb joint to the joint it hangs from, without the side; longer endings first.
+# Ending of a limb joint to its mapped parent, without the side; longer endings come before shorter ones.
 _HANGS = {
     "UpLeg": "Hips",
     "Leg": "UpLeg",
@@ -84,14 +84,14 @@ class RigMap:
 
     Attributes:
         places: canonical name to the index of the source joint at its place.
-        turns: canonical name to the index of the source joint with its rotation; this differs from the place if
-            twist joints follow along the same bone.
-        likely: probability from 0 to 1 of limb joints, by the shape of the rig: of those found by shape, and of those
-            whose names say otherwise; 1 for others.
-        by_shape: limb joints that were found by shape, since their names are unknown.
-        by_name: joints between the limbs whose names say what they are.
+        turns: canonical name to the index of the source joint with its rotation; this is another joint if twist joints
+            follow along the same bone.
+        likely: probability from 0 to 1, by the shape of the rig, of limb joints that were found by shape or whose
+            names disagree with the shape; other joints have 1.
+        by_shape: limb joints found by shape, because their names are unknown.
+        by_name: joints between the limbs whose names confirm them.
         sides_sure: probability that left is left; below 1 only if no name tells.
-        given: what gave them, such as "map" for a user's bone map; "" if they were found.
+        given: source of the map, such as "map" for a user's bone map; "" if the joints were found.
     """
 
     places: dict[str, int]
@@ -103,12 +103,12 @@ class RigMap:
     given: str = ""
 
     def sure(self, name: str) -> float:
-        """How sure a canonical joint is, from 0 to 1."""
+        """Probability from 0 to 1 that a canonical joint is right."""
         side = self.sides_sure if name.startswith(("Left", "Right")) else 1.0
         return self.likely.get(name, 1.0) * side
 
     def found(self, name: str) -> str:
-        """How a joint was found: "map", "VRM", "name", "shape", or "place" for others between the limbs."""
+        """How a joint was found: "map", "VRM", "name", "shape", or "place" for an unnamed joint between the limbs."""
         if self.given:
             return self.given
         if name in self.by_shape:
@@ -142,7 +142,7 @@ def map_rig(skeleton: Skeleton, poses: Array | None = None) -> RigMap:
 
     Args:
         skeleton: any rig.
-        poses: (P, J, 3) recorded joint positions, of use for limbs whose names are unknown.
+        poses: (P, J, 3) recorded joint positions, which help to find limbs with unknown names.
 
     Raises:
         SkeletonError: it is not a human rig, or a limb is missing.
@@ -151,17 +151,17 @@ def map_rig(skeleton: Skeleton, poses: Array | None = None) -> RigMap:
 
 
 def given_map(skeleton: Skeleton, places: dict[str, int]) -> RigMap:
-    """The map of a skeleton whose canonical joints are known; raises SkeletonError if they cannot be a body."""
+    """The map of a skeleton with known canonical joints; raises SkeletonError if they cannot be a body."""
     return _Mapper(skeleton).given(places)
 
 
 def map_around(skeleton: Skeleton, limbs: dict[str, int], given: str) -> RigMap:
-    """The map of a skeleton whose limbs, hips and head a file names (given: what kind of file)."""
+    """The map of a skeleton whose limbs, hips and head come from a file; given names the kind of file."""
     return _Mapper(skeleton).around(limbs, given)
 
 
 class _Mapper:
-    """The hierarchy with parts by name; its methods map the limbs first, then the torso."""
+    """Maps a hierarchy whose names have been split into sides and parts: the limbs first, then the torso."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
@@ -194,7 +194,7 @@ class _Mapper:
         )
 
     def around(self, limbs: dict[str, int], given: str) -> RigMap:
-        """The map around limbs, hips and head that are known."""
+        """The map around known limbs, hips and head."""
         self.places = dict(limbs)
         self._require()
         self._check_limbs()
@@ -218,7 +218,7 @@ class _Mapper:
         return replace(self._rig_map(), given="map")
 
     def _check_limbs(self) -> None:
-        """Raise SkeletonError for a limb joint that does not hang from the one above it."""
+        """Raise SkeletonError for a limb joint that does not descend from the mapped joint above it."""
         for name, joint in self.places.items():
             above = next((top for part, top in _HANGS.items() if name.endswith(part)), None)
             if above is None:
@@ -237,11 +237,11 @@ class _Mapper:
         return RigMap(ordered, {name: self._turn(name) for name in ordered})
 
     def _fill_in(self, guess: ShapeGuess | None) -> frozenset[str]:
-        """Take the limbs that have no known names from the shape; returns their joints."""
+        """Take limbs without known names from the shape; returns their canonical joints."""
         found: set[str] = set()
         for parts in (("UpLeg", "Leg", "Foot", "ToeBase"), ("Arm", "ForeArm", "Hand")):
             names = {f"{side}{part}" for side in ("Left", "Right") for part in parts}
-            if guess and names & self._lacking():  # a limb half known by names is taken from one source
+            if guess and names & self._lacking():  # take a whole limb from one source
                 for name in names:
                     self.places.pop(name, None)
                     if name in guess.places:
@@ -260,7 +260,7 @@ class _Mapper:
         return likely
 
     def _by_name(self) -> frozenset[str]:
-        """The joints between the limbs whose names say what they are."""
+        """The joints between the limbs whose names confirm them."""
         found = set()
         for name, joint in self.places.items():
             side, part = self.parts[joint]
@@ -295,7 +295,7 @@ class _Mapper:
     def find(self, side: str, *parts: str, under: int | None = None, carries: bool = False) -> int | None:
         """The joint of one of these parts with the most descendants, below `under` if given.
 
-        Rigs repeat names for helpers and meshes; those are leaves, and `carries` excludes them.
+        Rigs repeat names for helpers and meshes. These are leaves, and `carries` excludes leaves.
         """
         found = [
             j
@@ -327,7 +327,7 @@ class _Mapper:
         shin = self.put(f"{side}Leg", self.find(side, "shin", "leg", under=thigh))
         if shin is None:
             return
-        # Some rigs call their only foot joint a toe; in others the foot is the joint below the ankle.
+        # Some rigs call their only foot joint a toe. In others the foot is the joint below the ankle.
         foot = self.first(self.find(side, "foot", under=shin), self.find(side, "toe", under=shin))
         if self.put(f"{side}Foot", foot) is not None:
             toe = self.first(self.find(side, "toe", under=foot), self.find(side, "foot", under=foot))
@@ -362,7 +362,7 @@ class _Mapper:
         self.places["Hips"] = above[-1] if above else fork
 
     def _spine(self) -> int:
-        """Place the spine joints; returns the chest, the last joint that carries both arms."""
+        """Map the spine joints; returns the chest, the last common ancestor of both arms."""
         fork = self.common(self.places["LeftArm"], self.places["RightArm"])
         below = self.common(self.places["Hips"], fork)
         path = self.path(fork)
@@ -399,10 +399,10 @@ class _Mapper:
             self.places["Neck1"] = neck_joints[-1]
 
     def _head_by_shape(self, chest: int) -> int | None:
-        """The head of unknown name: along the longest branch of the chest without arms, the third joint at most.
+        """Find a head of unknown name: at most the third joint along the longest branch of the chest without arms.
 
-        A joint that branches (into eyes and jaw) ends it; the last joint of a longer chain is the tip of the head if it
-        has no length of its own.
+        A joint that branches (into eyes and jaw) is the head. The last joint of a longer chain is only the tip of the
+        head if it has no length of its own.
         """
         arms = {self.places["LeftArm"], self.places["RightArm"]}
 
@@ -447,7 +447,7 @@ class _Mapper:
 
 
 def _spine_names(heights: list[float], top: float) -> tuple[str, ...]:
-    """The canonical spine joints nearest to these heights between hips and shoulders."""
+    """The canonical spine joints nearest to some heights between hips and shoulders."""
 
     def misfit(names: tuple[str, ...]) -> float:
         return sum(abs(SPINE_SHARES[n] - h / top) for n, h in zip(names, heights, strict=True))

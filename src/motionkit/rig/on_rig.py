@@ -29,8 +29,8 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
     """Read a rig from a BVH, GLB or VRM file.
 
     Args:
-        path: the file; the frames of a BVH file show how the body stands if its rest pose does not.
-        map_path: bone map (motion.rig_map_file); the bone table of an avatar, or names and shape, by default.
+        path: the file. If the rest pose of a BVH file does not stand, one of its frames must.
+        map_path: bone map (rig/map_file.py); by default an avatar's bone table, or names and shape.
 
     Raises:
         MotionkitError: the file or the map cannot be used, or the rig is not a human one.
@@ -51,12 +51,12 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
 
 
 def from_rig(motion: Motion, rig: Rig) -> Motion:
-    """A motion on a rig, as finish.on_rig makes it, on the canonical joints, in cm."""
+    """Convert a motion on a rig (from finish/on_rig.py) back to the canonical joints, in cm."""
     return retarget(rig_bvh(motion, rig), rig=rig)[0]
 
 
 def read_clip(path: str | Path, rig: Rig) -> Motion:
-    """The motion of a BVH file on a rig; raises SkeletonError if it has other joints."""
+    """Read the motion of a BVH file on a rig; raises SkeletonError if it has other joints."""
     motion = bvh_to_motion(read_bvh(path))
     if not motion.skeleton.same_hierarchy(rig.skeleton):
         raise SkeletonError(f"{path}: has other joints than the rig {rig.name}")
@@ -66,11 +66,11 @@ def read_clip(path: str | Path, rig: Rig) -> Motion:
 def read_motion(
     path: str | Path, rig: Rig | None = None, scale: float | None = None
 ) -> tuple[Motion, RetargetReport]:
-    """A BVH file of any human rig as a motion to put on a rig: canonical joints, its standing toes on the floor.
+    """Read a BVH file of any human rig as a motion on the canonical joints, with standing toes on the floor.
 
     Args:
         path: the file.
-        rig: what is known of its rig; found by default.
+        rig: its rig, if known; found by default.
         scale: cm per file unit; detected by default.
 
     Raises:
@@ -89,12 +89,12 @@ def read_motion(
 def read_on_any_rig(
     path: str | Path, target: Rig | None = None, scale: float | None = None
 ) -> tuple[Motion, RetargetReport]:
-    """As read_motion; a file on the target rig itself is read with what is known of that rig."""
+    """Like read_motion; a file on the target rig is read with that rig's joint map, up axis and rest pose."""
     own = target is not None and target.same_rest(read_bvh(path).skeleton)
     return read_motion(path, target if own else None, scale)
 
 
 def canonical_places(motion: Motion) -> Array:
-    """Joint positions (T, 23, 3) of a motion whose lengths are scaled to canonical legs."""
+    """Joint positions (T, 23, 3) of a motion, scaled to canonical leg length."""
     share = leg_length(canonical_skeleton()) / leg_length(motion.skeleton)
     return motion_kinematics(motion)[1] * share

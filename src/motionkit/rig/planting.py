@@ -1,7 +1,7 @@
-"""Puts feet where a source body has them, because a leg of other proportions slides where that one stands.
+"""Moves feet after retargeting to where the source has them, because legs of other proportions slide.
 
-Retargeting copies directions of bones. Where hips are wider or feet longer than those of the source, a foot that
-stands there moves here, up to twice as far. Only the way over the ground is corrected; heights are those of the legs.
+Retargeting copies the directions of bones. If hips are wider or feet longer than on the source, a foot that stands
+there slides here. Only the position over the ground is corrected; heights stay.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from motionkit.motion.leg_ik import ANKLES, TOES, move_feet
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity, quat_normalize, quat_to_matrix
 
-MAX_SHIFT = 15.0  # cm; feet further from those of the source are moved by this much only
+MAX_SHIFT = 15.0  # cm; largest shift of a foot
 
 
 def plant_feet(motion: Motion, part: str, places: Array) -> Motion:
@@ -24,8 +24,8 @@ def plant_feet(motion: Motion, part: str, places: Array) -> Motion:
 
     Args:
         motion: T frames on the canonical joints, in cm.
-        part: "ToeBase" or "Foot", the joint whose places are given.
-        places: (T, 2, 3) where the left and the right one are to be, in cm; heights are not used.
+        part: the joint to move, "ToeBase" or "Foot".
+        places: (T, 2, 3) targets of the left and the right joint in cm; heights are not used.
 
     Returns:
         The motion with changed leg rotations.

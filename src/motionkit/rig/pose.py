@@ -1,6 +1,6 @@
-"""What a BVH file shows of its rig: the mapped joints, the up axis, and how its rest pose differs from the canonical.
+"""Studies the rig of a BVH file: its mapped joints, its up axis, and how its rest pose differs from the canonical one.
 
-Retargeting to the canonical skeleton (retarget) and back to a rig (to_rig) both begin here.
+Retargeting to the canonical skeleton (rig/retarget.py) and rigs to put motion on (rig/rig.py) both begin here.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from motionkit.rig.rest_pose import (
 )
 from motionkit.rig.up_axis import REST_VOTES, up_name, up_turn, voted_up
 
-_BACKWARDS = 0.5  # share of a foot's length by which it points backwards in a rig that cannot be
-# Mean cosine between the axes of hips and shoulders, left to right, at which one of them is exchanged.
+_BACKWARDS = 0.5  # share of its length by which a foot may point backwards in the rest pose
+# Mean cosine between the left-right axes of hips and shoulders below which left and right of one are exchanged.
 _OPPOSED = -0.5
-_STRAIGHT = 0.8  # share of the legs' length by which feet are below the hips of a standing body
-OWN_VOTES = 2.0  # for the axis of the rest pose of motionkit's own files (up_axis.py)
-_SAMPLES = 32  # recorded poses that show the shape of a rig
+_STRAIGHT = 0.8  # legs are straight if feet are further below the hips than this share of the leg length
+OWN_VOTES = 2.0  # weight of the rest pose's up axis in motionkit's own files (up_axis.py)
+_SAMPLES = 32  # recorded poses from which a rig without known names is mapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +44,10 @@ class RigPose:
         source: the mapped joints, those between them, and their rest positions in file units and axes.
         rotations: (T, J, 4) recorded global rotations of these joints, turned to Y up.
         positions: (T, J, 3) recorded positions in file units, turned to Y up.
-        up: (3,) the file's up axis.
-        frame: (4,) the orientation of the body in the rest pose, in the file's axes.
-        standing: whether the rest pose is a standing human; otherwise differences are those of the recorded poses.
-        differences: (23, 4) rotations from canonical rest directions to those of the source (rest_pose).
+        up: (3,) up axis of the file.
+        frame: (4,) orientation of the body in the rest pose, in the file's axes.
+        standing: whether the rest pose is a standing human; otherwise the differences come from the recorded poses.
+        differences: (23, 4) rotations from canonical to source rest directions (rest_pose.py).
     """
 
     source: SourceRig
@@ -73,7 +73,7 @@ class RigPose:
 
 
 def map_file(bvh: BvhFile) -> RigMap:
-    """The canonical joints of a file; raises SkeletonError if it is not a human rig."""
+    """Map the canonical joints of a file; raises SkeletonError if it is not a human rig."""
     few = replace(bvh, values=bvh.values[:: max(1, len(bvh.values) // _SAMPLES)])
     return map_rig(bvh.skeleton, motion_kinematics(bvh_to_motion(few))[1])
 
@@ -81,13 +81,13 @@ def map_file(bvh: BvhFile) -> RigMap:
 def study_rig(
     bvh: BvhFile, rig: RigMap, fps: float | None = None, known: tuple[Array, Array] | None = None
 ) -> RigPose:
-    """Study the rig of a file whose joints are mapped; median_offsets comes first.
+    """Study the rig of a file with mapped joints; call median_offsets first.
 
     Args:
         bvh: the file.
         rig: its canonical joints.
         fps: frame rate, if the file's header is wrong.
-        known: the up axis (3,) and the differences (23, 4), where they are known already.
+        known: the up axis (3,) and the differences (23, 4), if they are known already.
     """
     bvh, rig = _keep_needed(bvh, rig)
     source = SourceRig(bvh.skeleton, rig, bvh.skeleton.rest_positions())
@@ -109,7 +109,7 @@ def study_rig(
 
 
 def _turned_up(up: Array, rotations: Array, positions: Array) -> tuple[Array, Array]:
-    """Global rotations (T, J, 4) and positions (T, J, 3) of a world whose up axis (3,) is turned to +Y."""
+    """Turn global rotations (T, J, 4) and positions (T, J, 3) so that the up axis (3,) becomes +Y."""
     if float(up[1]) >= 1.0:
         return rotations, positions
     turn = up_turn(up)
@@ -130,7 +130,7 @@ def median_offsets(bvh: BvhFile) -> BvhFile:
 
 
 def _check_feet(source: SourceRig, frame: Array) -> None:
-    """Raise SkeletonError if both feet of a standing rest pose point backwards, as seen by its left and right."""
+    """Raise SkeletonError if both feet of a standing rest pose point backwards, judged by its left and right."""
     ahead = []
     for side in SIDES:
         bone = source.bone(f"{side}Foot")
@@ -150,7 +150,7 @@ def _backwards(source: SourceRig) -> SkeletonError:
 
 
 def _check_sides(source: SourceRig, positions: Array) -> None:
-    """Raise SkeletonError if left and right are exchanged for legs, arms or both in recorded positions (T, J, 3)."""
+    """Raise SkeletonError if recorded positions (T, J, 3) show that left and right of legs or arms are exchanged."""
     hips, arms = (_pair(source, positions, part) for part in ("UpLeg", "Arm"))
     across = normalized(hips[0] - hips[1])
     up = normalized(arms[0] + arms[1] - hips[0] - hips[1])
@@ -173,9 +173,9 @@ def _check_sides(source: SourceRig, positions: Array) -> None:
 
 
 def _toes_ahead(source: SourceRig, positions: Array, up: Array, ahead: Array) -> float | None:
-    """The mean cosine between toes, seen from above, and the direction ahead (T, 3) of the hips; None without toes.
+    """Mean cosine, in the ground plane, between toes and the forward direction (T, 3) of the hips; None without toes.
 
-    Only frames with straight legs below the body count: toes of who kneels point backwards.
+    Only frames with straight legs below the body count, because the toes of a kneeling body point backwards.
     """
     if not all(f"{side}{part}" in source.rig.places for side in SIDES for part in ("Foot", "ToeBase")):
         return None
@@ -190,13 +190,13 @@ def _toes_ahead(source: SourceRig, positions: Array, up: Array, ahead: Array) ->
 
 
 def _names(source: SourceRig, part: str) -> tuple[str, str]:
-    """The joints of the rig at the left and the right joint of a part."""
+    """Names of the rig's left and right joint of a part."""
     left, right = (source.skeleton.names[source.rig.places[f"{side}{part}"]] for side in SIDES)
     return left, right
 
 
 def _pair(source: SourceRig, positions: Array, part: str) -> tuple[Array, Array]:
-    """The places (T, 3) of the left and the right joint of a part."""
+    """Positions (T, 3) of the left and the right joint of a part."""
     left, right = (positions[:, source.rig.places[f"{side}{part}"]] for side in SIDES)
     return left, right
 
@@ -204,7 +204,7 @@ def _pair(source: SourceRig, positions: Array, part: str) -> tuple[Array, Array]
 def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
     """Remove joints that no canonical joint needs (fingers, meshes, helpers).
 
-    Bones that ended in such joints get an End Site instead.
+    A bone that ended in such a joint gets an End Site.
     """
     skeleton = bvh.skeleton
     needed: set[int] = set()
@@ -233,12 +233,12 @@ def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
 
 
 def _up_axis(source: SourceRig, positions: Array, frame: Array | None) -> Array:
-    """The up axis (3,) of the world, by the recorded poses, with a preference for Y and the rest pose."""
+    """The up axis (3,) of the world from the recorded poses, with a preference for Y and the rest pose."""
     places = source.rig.places
     arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
     hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
     rest = None if frame is None else quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
-    # motionkit's own files are upright in their rest pose, however short they are cut and whatever they show.
+    # The rest pose of motionkit's own files is upright, even if the recorded poses are few and show no standing body.
     own = source.skeleton.same_hierarchy(canonical_skeleton())
     return voted_up(positions, arms - hips, rest, OWN_VOTES if own else REST_VOTES)
 

@@ -1,7 +1,7 @@
 """Reads the first animation of a skinned glTF file as a Motion, in cm.
 
-The rig of a BVH file has an identity rest pose and no scales, so nodes with scales, matrices with scale, and
-morphs are refused; the rotations of a rest pose become offsets.
+A BVH rig has identity rotations in its rest pose and no scales. So scaled nodes, scaling matrices and morphs are
+refused, and the offsets are turned by the rest rotations.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.gltf import GltfFile
 
 CM = 100.0
-FPS = 60.0  # of a file that does not say its own and whose keys are not evenly spaced
-FASTEST, MOST_FRAMES = 480.0, 500_000
-KEY_WITHIN = 1e-3  # share of the time between two keys within which a frame before a key counts as at it
+FPS = 60.0  # rate of a file whose keys are not evenly spaced
+FASTEST, MOST_FRAMES = 480.0, 500_000  # largest rate and number of frames
+KEY_WITHIN = 1e-3  # share of the time between keys; a frame this little before a key counts as at the key
 MOST_JOINTS = 1000
-# Extensions that concern meshes and their looks only.
+# Extensions that only concern meshes and their appearance.
 _HARMLESS = ("KHR_materials", "KHR_texture", "KHR_lights", "KHR_draco_mesh", "KHR_mesh_quantization", "VRMC_")
 
 
 def read_glb(path: str | Path) -> Motion:
-    """The first animation of the first skin of a .glb file, on the joints of the skin and the nodes above them.
+    """Read the first animation of a .glb file, on the joints of its first skin and the nodes above them.
 
     Raises:
-        MotionkitError: no skin, no animation, a morph animation, or a scale; the message names the file.
+        MotionkitError: the file has no skin or animation, or has a morph animation or a scale; the message names it.
     """
     file = GltfFile(path)
     _check_extensions(file)
@@ -206,7 +206,7 @@ def _times(file: GltfFile, joints: list[int]) -> tuple[Array, float]:
 
 
 def _sampled(keys: Array, values: Array, times: Array, how: str, turns: bool) -> Array:
-    """Values at times, of values (N, C) at keys (N,); held beyond the ends."""
+    """Interpolate values (N, C) at keys (N,) at some times; constant beyond the ends."""
     after = np.clip(np.searchsorted(keys, times, side="right"), 1, max(len(keys) - 1, 1))
     before = after - 1
     if len(keys) == 1:
@@ -229,7 +229,7 @@ def _straightened(
     places: Array,
     fps: float,
 ) -> Motion:
-    """The motion on a skeleton whose rest pose has no rotations: joint j is turned by its rest rotation first."""
+    """The motion on a skeleton with identity rotations in its rest pose, as BVH needs."""
     above = [rest[0]]
     for joint in range(1, len(names)):
         above.append(quat_multiply(above[parents[joint]], rest[joint]))

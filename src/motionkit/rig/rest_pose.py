@@ -1,8 +1,8 @@
-"""The difference between a source rig's rest pose and the canonical one, as one constant rotation per joint.
+"""The difference between the rest pose of a source rig and the canonical one, as a constant rotation per joint.
 
-The global rotation of a canonical joint is that of its source joint times this difference D, which rotates
-canonical rest directions to source rest directions. D is computed from the rest pose if that shows a standing
-human. Otherwise (some exports have all bones along one axis) it is computed from the recorded poses.
+The global rotation of a canonical joint is that of its source joint times this difference D, which rotates canonical to
+source rest directions. D comes from the rest pose if that shows a standing human. Otherwise (in some exports all bones
+lie along one axis) it comes from the recorded poses.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from motionkit.rig.names import RigMap
 SIDES = ("Left", "Right")
 _CANONICAL = canonical_skeleton()
 _CANONICAL_REST = _CANONICAL.rest_positions()
-# A bone points to the first of these joints that the source has.
+# Each bone points to the first of these joints that the source has.
 _AHEAD: dict[str, tuple[str, ...]] = {
     "LowerBack": ("Spine", "Spine1", "Neck"),
     "Spine": ("Spine1", "Neck"),
@@ -47,31 +47,31 @@ _AHEAD: dict[str, tuple[str, ...]] = {
         ("Shoulder", "Arm"), ("Arm", "ForeArm"), ("ForeArm", "Hand"),
     )
 }  # fmt: skip
-# Limb bones follow the source exactly. The places of other joints inside the body differ between rigs (the root of
-# a collar bone, the curve of a spine); up to these angles in degrees that is anatomy, not posture.
+# Limb bones follow the source exactly. Other joints have different places inside the body on different rigs (the root
+# of a collar bone, the curve of a spine). Up to these angles in degrees, a difference is anatomy and not posture.
 _TOLERANCE = {"Shoulder": 60.0, "Hand": 30.0, "Neck": 45.0, "Neck1": 45.0, "Head": 60.0}
 _TOLERANCE_ELSEWHERE = 40.0
-_NO_POSTURE = 110.0  # degrees; an End Site this far off is a leftover, not a hand or a head
+_NO_POSTURE = 110.0  # degrees; an End Site at a larger angle does not show a hand or a head
 _LIMBS = ("UpLeg", "Leg", "Arm", "ForeArm")
-# Joints whose bone points to the top of the head where the rig has no mapped joint above them.
+# Joints whose bone points to the top of the head if the rig has no mapped joint above them.
 _TOPS = ("Neck", "Neck1", "Head")
-# Children of the head that mark its top, and those of the face or the hair, which do not show where it points.
+# Names of head children that mark its top, and of face and hair joints, which do not show its direction.
 _TOP_WORDS = re.compile(r"(end|nub|site|tip|top|effector)[\W\d_]*$", re.IGNORECASE)
 _FACE_WORDS = re.compile(
     r"eye|jaw|ear|hair|tail|braid|bang|brow|lash|lid|lip|mouth|tongue|teeth|tooth|nose|cheek|chin|face",
     re.IGNORECASE,
 )
-_ALONG_NECK = 45.0  # degrees between the neck and a child of the head that carries it on
-# Bending axes of knees and elbows in the canonical rest pose (as in every CMU recording).
+_ALONG_NECK = 45.0  # degrees; largest angle between the neck and a head child that continues it
+# Bending axes of knees and elbows in the canonical rest pose, the same in every CMU recording.
 _HINGES: dict[str, tuple[float, float, float]] = {
     "LeftLeg": (0.93969, 0.34202, 0.0),
     "RightLeg": (0.93969, -0.34202, 0.0),
     "LeftForeArm": (0.0, -0.86603, 0.5),
     "RightForeArm": (0.0, 0.86603, -0.5),
 }
-_BENT = math.radians(25.0)  # a joint bent this much reveals its hinge axis
-_UPRIGHT = math.radians(25.0)
-_REFERENCE_FRAMES = 256
+_BENT = math.radians(25.0)  # bend above which a joint shows its hinge axis
+_UPRIGHT = math.radians(25.0)  # lean up to which a body is upright
+_REFERENCE_FRAMES = 256  # recorded poses are thinned to four to eight times as many
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class SourceRig:
         return None if joint is None else self.rest[joint]
 
     def bone(self, name: str) -> tuple[Array, Array] | None:
-        """The bone of a joint, as canonical and source rest vectors (3,), or None if it has no end."""
+        """The bone of a joint as canonical and source rest vectors (3,); None if it has no end."""
         return self._bones.get(name)
 
     @cached_property
@@ -113,7 +113,7 @@ class SourceRig:
 
 
 def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
-    """The end (3,) of a joint's bone: its End Site, or the mean of the joints below, except thumbs."""
+    """The end (3,) of a joint's bone: its End Site, or the mean of its children without thumbs."""
     end = skeleton.end_sites.get(joint)
     if end is not None and math.hypot(*end) > tiny:
         return np.array(end, np.float32)
@@ -130,12 +130,12 @@ def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
 
 
 def named_end(skeleton: Skeleton, name: str, joint: int, tiny: float) -> Array | None:
-    """The end (3,) of the bone of a joint at the place of a canonical one, or None if nothing shows it."""
+    """The end (3,) of the bone of the joint mapped to a canonical name; None if nothing shows it."""
     return (_head_end if name in _TOPS else bone_end)(skeleton, joint, tiny)
 
 
 def _head_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
-    """The end (3,) of a head: its End Site, a child named as its top, or the child that best carries on the neck."""
+    """The end (3,) of a head: its End Site, a child named as its top, or the child that best continues the neck."""
     end = skeleton.end_sites.get(joint)
     if end is not None and math.hypot(*end) > tiny:
         return np.array(end, np.float32)
@@ -156,7 +156,7 @@ def _head_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
 
 
 def tiny_length(skeleton: Skeleton) -> float:
-    """The length below which a bone counts as zero, in the skeleton's unit."""
+    """The length, in the skeleton's unit, below which a bone counts as zero."""
     return 1e-2 * float(np.linalg.norm(skeleton.offsets[1:], axis=-1).max())
 
 
@@ -168,7 +168,7 @@ def frame_from(lateral: Array, up: Array) -> Array:
 
 
 def body_frame(source: SourceRig) -> Array:
-    """The orientation (4,) of the body in the rest pose, snapped to the axes if it is near them."""
+    """The orientation (4,) of the body in the rest pose, snapped to the axes if near them."""
     hips, arms = (_pair(source, part) for part in ("UpLeg", "Arm"))
     frame = frame_from(hips[0] - hips[1], (arms[0] + arms[1] - hips[0] - hips[1]) / 2)
     matrix = quat_to_matrix(frame)
@@ -198,7 +198,7 @@ def stands(source: SourceRig, frame: Array) -> bool:
         limits += [(f"{side}Arm", outward, 105.0), (f"{side}ForeArm", outward, 120.0)]
     for name, direction, limit in limits:
         bone = source.bone(name)
-        # Negated, so that a frame that could not be computed (NaN) does not stand either.
+        # The negation also catches a frame that is NaN.
         if bone is not None and not float(angle_between(quat_rotate(frame, direction), bone[1])) <= limit:
             return False
     return True
@@ -216,7 +216,7 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
             out[joint] = _foot_difference(source, frame, name, *bone)
         elif part in _LIMBS or part == "Hand":
             parent = out[PARENTS[joint]]
-            if part == "Arm":  # collar bones vary between rigs: measure arms relative to the chest
+            if part == "Arm":  # relative to the chest, because collar bones vary between rigs
                 parent = frame
             out[joint] = _turned(parent, bone, 0.0 if part in _LIMBS else _TOLERANCE["Hand"])
         elif part == "Foot":
@@ -232,7 +232,7 @@ def _forward(frame: Array) -> Array:
 
 
 def _turned(base: Array, bone: tuple[Array, Array] | None, tolerance: float) -> Array:
-    """base, turned the shortest way onto the source bone if that is more than tolerance degrees off."""
+    """Turn base by the smallest rotation onto the source bone if they differ by more than tolerance degrees."""
     if bone is None:
         return base
     canonical = quat_rotate(base, bone[0])
@@ -243,7 +243,7 @@ def _turned(base: Array, bone: tuple[Array, Array] | None, tolerance: float) -> 
 
 
 def _foot_difference(source: SourceRig, frame: Array, name: str, canonical: Array, bone: Array) -> Array:
-    """The difference of a foot: it stands flat in the rest pose, so only heading and roll count."""
+    """The difference of a foot; only heading and roll count, because it stands flat in the rest pose."""
     to_frame = quat_inverse(frame)
     in_frame = quat_rotate(to_frame, bone)
     pitch = math.degrees(math.asin(float(-in_frame[1] / np.linalg.norm(in_frame))))
@@ -268,12 +268,12 @@ def quat_from_roll(roll: Array) -> Array:
 
 
 def _spread(leg: Array) -> Array:
-    """The angle (...) in radians by which a leg vector (..., 3) points to the left of straight down."""
+    """The angle (...) in radians of a leg vector (..., 3) to the left of straight down."""
     return np.arctan2(leg[..., 0], -leg[..., 1])
 
 
 def _canonical_spread(foot: str) -> Array:
-    """The spread of a canonical leg; a foot rolls with its shin when the legs come together."""
+    """The spread of a canonical leg. A foot rolls with its shin when the legs come together."""
     hip = JOINT_NAMES.index(foot.replace("Foot", "UpLeg"))
     return _spread(_CANONICAL_REST[JOINT_NAMES.index(foot)] - _CANONICAL_REST[hip])
 
@@ -284,10 +284,10 @@ def _heading(vector: Array) -> Array:
 
 
 def posed_differences(source: SourceRig, rotations: Array, positions: Array) -> Array:
-    """The differences D (23, 4) from recorded poses: global rotations (T, J, 4), positions (T, J, 3), Y up.
+    """The differences D (23, 4) from recorded global rotations (T, J, 4) and positions (T, J, 3), Y up.
 
-    The frames of pelvis and chest come from hips, shoulders and spine while the body is upright; those of limbs from
-    their bones and the bending axes of knees and elbows; feet are flat when they are lowest.
+    The frames of pelvis and chest come from hips, shoulders and spine while the body is upright. The frames of limbs
+    come from their bones and the bending axes of knees and elbows. Feet are taken to be flat when they are lowest.
     """
     step = max(1, len(positions) // (4 * _REFERENCE_FRAMES))
     poses = _Poses(source, rotations[::step], positions[::step])
@@ -354,14 +354,14 @@ class _Poses:
         return self.out
 
     def seen(self, name: str) -> Array:
-        """The canonical global rotation (T, 4) of the nearest ancestor done so far."""
+        """The canonical global rotation (T, 4) of the nearest ancestor that is done."""
         joint = PARENTS[JOINT_NAMES.index(name)]
         while JOINT_NAMES[joint] not in self.geometry:
             joint = PARENTS[joint]
         return self.geometry[JOINT_NAMES[joint]]
 
     def settle(self, name: str, geometry: Array, frames: Array) -> None:
-        """Set a joint's difference to the mean over some frames, and its rotation in all frames accordingly."""
+        """Set a joint's difference to its mean over some frames, and compute its rotation in all frames."""
         if name not in self.source.rig.places:
             return
         difference = quat_multiply(quat_inverse(self.turn(name)), geometry)[frames]

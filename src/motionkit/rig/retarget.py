@@ -1,8 +1,8 @@
 """Retargeting of any human rig to the canonical skeleton of 23 joints, in cm, Y up.
 
-Joints are found by name and hierarchy (rig_names), rest poses are compared (rest_pose), and the unit is detected
-(units). Rotations are transferred in world space, so joints in between (a hip joint, a second root, extra spine
-joints) are included.
+It finds joints by name, shape and hierarchy (names.py), compares rest poses (rest_pose.py) and detects the unit
+(units.py). Rotations are transferred in world space, so they include joints in between (a hip joint, a second root,
+extra spine joints).
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ from motionkit.rig.rig import Rig
 from motionkit.rig.units import check_leg, guess_scale
 
 _TORSO = ("LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder")
-# A source bone shorter than this share of its canonical length is a gap in the rig, not a short bone.
-_GAP = 0.01
+_GAP = 0.01  # share of its canonical length below which a source bone counts as missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +47,9 @@ class RetargetReport:
         scale: cm per file unit.
         scale_source: how the scale was determined.
         leg_length: thigh plus shin of this body, cm.
-        root_scale: extra factor of root positions (canonical leg length / this body's).
-        notes: rest-pose differences, a changed up axis and the like.
-        body: (23, 3) offsets of this body in cm: its bone lengths in canonical rest directions.
+        root_scale: extra factor on root positions (canonical leg length / that of this body).
+        notes: rest-pose differences, a turned up axis and the like.
+        body: (23, 3) offsets in cm with the bone lengths of this body in canonical rest directions.
     """
 
     source_joints: int
@@ -94,17 +93,17 @@ def retarget(
         bvh: any human rig.
         scale: cm per file unit; detected from the leg length by default.
         fps: frame rate, if the file's header is wrong.
-        own_body: keep this body's bone lengths. Otherwise the motion has the canonical body, and root positions are
-            scaled about the world's origin by the ratio of leg lengths.
-        rig: what is known of the file's rig (rig.read_rig): its joint map, up axis and rest pose replace what the
-            file itself shows.
-        plant: put the feet where the source has them, so that they slide no more than there (planting.py).
+        own_body: keep the bone lengths of this body. Otherwise the motion has the canonical body, and root positions
+            are scaled about the origin of the world by the ratio of leg lengths.
+        rig: the rig of the file, if known (rig/on_rig.py). Its joint map, up axis and rest pose replace those found in
+            the file.
+        plant: move the feet to where the source has them, so that they slide no more than there (planting.py).
 
     Returns:
         The motion and a report.
 
     Raises:
-        SkeletonError: the rig is not a known human rig, or has other joints than rig.
+        SkeletonError: the file has no known human rig, or has other joints than rig.
     """
     bvh = median_offsets(bvh)
     names = bvh.skeleton.names
@@ -152,7 +151,7 @@ def _map_notes(joints: RigMap, names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _canonical_rotations(rig: RigMap, rotations: Array, differences: Array) -> Array:
     """Global rotations (T, 23, 4) of the canonical joints; joints without a source follow their parent."""
-    carriers: list[int] = []  # the canonical joint whose source moves each canonical joint
+    carriers: list[int] = []  # for each canonical joint, the one whose source it follows
     for joint, name in enumerate(JOINT_NAMES):
         carriers.append(joint if name in rig.turns else carriers[PARENTS[joint]])
     sources = [rig.turns[JOINT_NAMES[joint]] for joint in carriers]
@@ -167,9 +166,9 @@ def to_local(rotations: Array) -> Array:
 
 
 def _root_positions(rig: RigMap, positions: Array, hips: Array, target: Skeleton) -> Array:
-    """Hip positions (T, 3) that put the middle between the thighs where the source has it.
+    """Hip positions (T, 3) that put the midpoint between the thighs where the source has it.
 
-    Rigs place their hip joint anywhere between thighs and navel; this must not move the legs.
+    Rigs place their hip joint anywhere between thighs and navel, and this must not move the legs.
     """
     thighs = [positions[:, rig.places[f"{side}UpLeg"]] for side in SIDES]
     sockets = [target.offsets[target.index(f"{side}UpLeg")] for side in SIDES]
@@ -178,9 +177,9 @@ def _root_positions(rig: RigMap, positions: Array, hips: Array, target: Skeleton
 
 
 def _foot_places(rig: RigMap, positions: Array) -> tuple[str, Array] | None:
-    """The joint of the feet to put down, and its places (T, 2, 3), left and right, among positions (T, J, 3).
+    """The joint by which to place the feet, and its positions (T, 2, 3), left and right, from positions (T, J, 3).
 
-    It is the toe, or the ankle of rigs without toes.
+    The joint is the toe, or the ankle of a rig without toes.
     """
     for part in ("ToeBase", "Foot"):
         found = [rig.places[name] for side in SIDES if (name := f"{side}{part}") in rig.places]
@@ -190,10 +189,11 @@ def _foot_places(rig: RigMap, positions: Array) -> tuple[str, Array] | None:
 
 
 def _body(pose: RigPose, scale: float) -> tuple[Array, tuple[str, ...]]:
-    """This body's offsets (23, 3) in cm, in canonical directions, and notes on assumed lengths.
+    """Offsets (23, 3) of this body in cm, in canonical directions, and notes on assumed lengths.
 
-    A length missing in the rig is the canonical one, in proportion to the legs. If the rig's torso lacks joints, the
-    torso is scaled as a whole, by its height and widths in the rest pose, or in the recorded poses if that is none.
+    A length missing in the rig is the canonical one, in proportion to the legs. If the torso of the rig lacks joints,
+    it is scaled as a whole, by its height and widths in the rest pose, or in the recorded poses if the rest pose does
+    not stand.
     """
     source = pose.source
     shape = (source.rest[None] if pose.standing else pose.positions) * scale
@@ -213,7 +213,7 @@ def _body(pose: RigPose, scale: float) -> tuple[Array, tuple[str, ...]]:
         if own * scale < _GAP * share * usual:
             assumed.append(name)
             continue
-        while joint != above:  # joints missing in the rig share the length with the one below them
+        while joint != above:  # joints missing in the rig get the same ratio as the joint below them
             ratios[joint] = own * scale / usual
             joint = PARENTS[joint]
     if not all(name in source.rig.places for name in _TORSO):
@@ -228,18 +228,18 @@ def _body(pose: RigPose, scale: float) -> tuple[Array, tuple[str, ...]]:
 
 
 def _own_length(source: SourceRig, above: str, name: str) -> float | None:
-    """The rest length of a bone in file units, or None if the rig does not have it."""
+    """The rest length of a bone in file units; None if the rig does not have it."""
     top, bottom = source.place(above), source.place(name)
     if top is not None and bottom is not None:
         return float(np.linalg.norm(bottom - top))
-    if above.endswith(("ForeArm", "Foot")):  # a hand or toe that is only an End Site
+    if above.endswith(("ForeArm", "Foot")):  # a hand or toe may be only an End Site
         bone = source.bone(above)
         return None if bone is None else float(np.linalg.norm(bone[1]))
     return None
 
 
 def _torso_ratios(source: SourceRig, shape: Array, rest: Array) -> list[tuple[tuple[str, ...], float]]:
-    """The size of the torso relative to the canonical one: height, shoulder width, hip width, head height."""
+    """Ratios of the torso to the canonical one by joints: height, shoulder width, hip width, head height."""
 
     places = source.rig.places
 
@@ -259,7 +259,7 @@ def _torso_ratios(source: SourceRig, shape: Array, rest: Array) -> list[tuple[tu
         (("LeftArm", "RightArm"), arms),
         (("LeftUpLeg", "RightUpLeg"), hips),
     ]
-    if "Head" in places:  # necks begin at different heights: keep the head's height above the shoulders
+    if "Head" in places:  # keep its height above the shoulders, because necks begin at different heights
         middle = (shape[:, places["LeftArm"]] + shape[:, places["RightArm"]]) / 2
         above = float(lower_median(length(shape[:, places["Head"]] - middle)))
         neck, head = rest[JOINT_NAMES.index("Neck")], rest[JOINT_NAMES.index("Head")]

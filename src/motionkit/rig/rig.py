@@ -1,6 +1,6 @@
-"""A user's rig: the joints, channels, unit and axes that motion on it must keep, and how it relates to the canonical.
+"""A user's rig: its joints, channels, unit and axes, and how they relate to the canonical skeleton.
 
-to_rig puts motion on it; retarget reads motion from it.
+to_rig.py puts motion on it; retarget.py reads motion from it.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from motionkit.rig.pose import RigPose, map_file, median_offsets, pose_notes, st
 from motionkit.rig.rest_pose import SIDES
 from motionkit.rig.units import check_leg
 
-# Heights in cm of the canonical body at which toes, or ankles of a rig without toes, can stand. A file whose lowest
-# joints are elsewhere has its floor elsewhere.
+# Plausible heights, in cm of the canonical body, of standing toes, or of ankles of a rig without toes. At other heights
+# the floor of the file is not at zero.
 _PLAUSIBLE_STANCE = {"ToeBase": (0.0, 6.0), "Foot": (4.0, 12.0)}
 STANCE_QUANTILE = 0.25  # of heights: low, but robust to feet that sink now and then
-_UPRIGHT_SHARE = 0.5  # of the leg; ankles of a standing body are this far below the hips
+_UPRIGHT_SHARE = 0.5  # of the leg; the ankles of a standing body are further than this below the hips
 _SAME_REST = 0.01  # share of the leg by which offsets of the same rig may differ
-_FRAMES = 512  # of a rig's own motion that are looked at
+_FRAMES = 512  # frames of the file's motion that are studied; up to twice as many
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,18 +35,18 @@ class Rig:
     """A rig to put motion on.
 
     Attributes:
-        name: the file, for messages.
-        skeleton: all its joints in file order, in file units and axes.
+        name: name of the file, for messages.
+        skeleton: all joints in file order, in file units and axes.
         channels: the channel names of each joint.
-        hierarchy: the text of the file's hierarchy section, None for a rig that is not from a BVH file.
-        joints: its canonical joints.
-        up: (3,) its up axis.
-        differences: (23, 4) rotations from canonical rest directions to its own (rest_pose).
+        hierarchy: text of the file's hierarchy section; None for a rig that is not from a BVH file.
+        joints: map of its canonical joints.
+        up: (3,) up axis.
+        differences: (23, 4) rotations from canonical to its own rest directions (rest_pose.py).
         leg: thigh plus shin in file units.
-        stance: height of its standing toes, or of its ankles if it has no toes, in cm of a body with canonical legs;
-            None if its file does not show it.
-        fps: frame rate of its file.
-        notes: what is unusual about it.
+        stance: height of standing toes, or of ankles without toes, in cm of a body with canonical legs; None if the
+            file does not show it.
+        fps: frame rate of the file.
+        notes: notes on its axes and rest pose.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Rig:
 
     @property
     def scale(self) -> float:
-        """cm of a body with canonical legs per file unit."""
+        """cm per file unit of a body with canonical legs."""
         return leg_length(canonical_skeleton()) / self.leg
 
     def same_rest(self, skeleton: Skeleton) -> bool:
@@ -74,12 +74,12 @@ class Rig:
         )
 
     def place(self, name: str) -> int | None:
-        """The joint at the place of a canonical joint, or None."""
+        """The joint mapped to a canonical joint, or None."""
         return self.joints.places.get(name)
 
 
 def read_bvh_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
-    """The rig of a BVH file; arguments as for export.on_rig.read_rig, which also reads other files."""
+    """Read the rig of a BVH file; arguments as for rig/on_rig.py's read_rig, which also reads other files."""
     bvh = read_bvh(path)
     joints = None if map_path is None else read_rig_map(map_path, bvh.skeleton)
     try:
@@ -89,12 +89,12 @@ def read_bvh_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
 
 
 def make_rig(bvh: BvhFile, name: str, joints: RigMap | None = None, hierarchy: str | None = None) -> Rig:
-    """The rig of a BVH file; raises SkeletonError if it is not a human one.
+    """Make the rig of a BVH file; raises SkeletonError if it is not a human rig.
 
     Args:
-        bvh: its joints, and at least one frame.
-        name: what to call it in messages.
-        joints: its canonical joints; found by default.
+        bvh: the file, with at least one frame.
+        name: name for messages.
+        joints: map of its canonical joints; found by default.
         hierarchy: text to write as the hierarchy section of files on this rig.
     """
     bvh = median_offsets(bvh)
@@ -126,7 +126,7 @@ def make_rig(bvh: BvhFile, name: str, joints: RigMap | None = None, hierarchy: s
 
 
 def _stands_somewhere(pose: RigPose, leg: float) -> bool:
-    """Whether the feet are well below the hips, and the shoulders above them, in some frames."""
+    """Whether in some frame the feet are well below the hips, and the shoulders above them."""
     place, at = pose.source.rig.places, pose.positions[..., 1]
     if not all(f"{side}Foot" in place for side in SIDES):
         return True
@@ -152,7 +152,7 @@ def _check_channels(bvh: BvhFile, joints: RigMap) -> None:
 
 
 def top_joint(skeleton: Skeleton, joints: RigMap) -> int:
-    """The joint that carries the whole body: the hips, or one above them if the spine hangs from there."""
+    """The lowest common ancestor of all mapped joints: the hips, or one above them if the spine begins there."""
     joint = joints.places["Hips"]
     while not all(skeleton.descends(other, joint) for other in joints.places.values()):
         joint = skeleton.parents[joint]
@@ -160,7 +160,7 @@ def top_joint(skeleton: Skeleton, joints: RigMap) -> int:
 
 
 def mover(skeleton: Skeleton, channels: tuple[tuple[str, ...], ...], joints: RigMap) -> int | None:
-    """The joint whose position channels move the body: the top joint or the nearest above it that has three."""
+    """The joint whose position channels move the body: the top joint, or the nearest above it with three of them."""
     joint = top_joint(skeleton, joints)
     while joint >= 0:
         if sum(channel.endswith("position") for channel in channels[joint]) == 3:
@@ -170,7 +170,7 @@ def mover(skeleton: Skeleton, channels: tuple[tuple[str, ...], ...], joints: Rig
 
 
 def _stance(pose: RigPose, scale: float) -> float | None:
-    """The height of the lower foot in most frames, in cm of the canonical body, None if that cannot be a stance."""
+    """The standing height of toes or ankles, in cm of the canonical body; None if it is not plausible."""
     place = pose.source.rig.places
     part = stance_part(pose.source.rig)
     if f"Left{part}" not in place or f"Right{part}" not in place:
@@ -182,5 +182,5 @@ def _stance(pose: RigPose, scale: float) -> float | None:
 
 
 def stance_part(joints: RigMap) -> str:
-    """The part of the feet whose height says where the floor is: toes, or ankles of a rig without toes."""
+    """The part of the feet that shows the floor: toes, or ankles of a rig without toes."""
     return "ToeBase" if all(f"{side}ToeBase" in joints.places for side in SIDES) else "Foot"

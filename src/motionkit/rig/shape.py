@@ -1,8 +1,8 @@
 """Finds the legs and arms of a rig by its shape, whatever its joints are called.
 
-Limbs come in pairs: two branches of one joint with the same bone lengths. Of all such pairs, and of all joints along
-them, those are legs and arms whose proportions are most like a human's. Each assignment has a cost, the negative
-logarithm of its likelihood; the costs of the others say how sure the best one is.
+A pair of limbs is two branches of one joint with the same bone lengths. Legs and arms are the pairs, and the joints
+along them, whose proportions are most like a human's. Each assignment has a cost, the negative logarithm of its
+likelihood. The costs of the other assignments give the probability of the best one.
 """
 
 from __future__ import annotations
@@ -17,35 +17,30 @@ import numpy as np
 from motionkit.arrays import Array, cross, normalized
 from motionkit.motion.skeleton import Skeleton
 
-# Bones of a pair are equal within this share of their length, plus a share of the rig's size.
+# Tolerance of equal bones, as a share of their length plus a share of the rig's size.
 _EQUAL, _EQUAL_SIZE = 0.12, 0.005
 _SHORTEST_LIMB = 0.15  # share of the longest path; fingers, eyes and ears are shorter
-_MOST_PAIRS, _MOST_JOINTS, _BEST = (
-    8,
-    24,
-    6,
-)  # pairs, joints along a limb, and assignments of a pair that are compared
-# Mean and standard deviation of proportions, and of logarithms of ratios: those of the recorded rigs this was checked
-# with, widened for toons and for rigs whose joints sit oddly.
+# Most pairs, joints along a limb, and assignments of a pair that are compared.
+_MOST_PAIRS, _MOST_JOINTS, _BEST = 8, 24, 6
+# Mean and standard deviation of proportions, and of logarithms of ratios. They are those of the tested rigs, widened
+# for toons and for rigs with unusual joint places.
 _THIGH_SHIN = (math.log(0.92), 0.18)
 _HIP_WIDTH = (0.3, 0.2)  # from the fork of the legs, as a share of the thigh
 _FOOT_SHIN = (math.log(0.35), 0.5)
-# As shares of the leg: the way from the fork of the arms to the shoulder, upper arm, forearm, and from fork to fork.
+# As shares of the leg: path from the fork of the arms to the shoulder, upper arm, forearm, and path from fork to fork.
 _COLLAR_LEG, _UPPER_LEG, _FORE_LEG = (0.38, 0.13), (math.log(0.32), 0.15), (math.log(0.27), 0.25)
 _TORSO_LEG = (0.45, 0.25)
 _HAND_FORE = (math.log(0.5), 0.8)
-_STUB = 0.1  # share of a shin or forearm below which what is behind it is no foot or hand
+_STUB = 0.1  # share of a shin or forearm; a shorter end is no foot or hand
 _NO_END = 1.0  # cost of a leg without a foot, or an arm without a hand
 _EXTRA = 0.4  # cost of a joint along a bone, such as a twist joint
-_FINGERS = 1.5  # cost of a hand or foot behind a joint that branches
-_BENT = 0.06  # share by which a bone with joints along it may be shorter than their path
-_LEG_DOWN, _WRIST = (
-    (1.0, 0.35),
-    (0.0, 1.2),
-)  # how far down ankles, and how far up wrists are, as shares of the limb
-_UPSIDE_DOWN = 3.0  # cost of arms whose fork carries that of the legs
-_APART = 1.0  # cost of forks of which neither carries the other
-_NOT_HUMAN = 9.0  # cost at which a human rig is as likely as something else
+_FINGERS = 1.5  # cost of a hand or foot below a joint that branches
+_BENT = 0.06  # deviation of the share by which a bone is shorter than the path through its joints
+# Mean and deviation of the height of ankles below the hips, and of wrists above the shoulders, as shares of the limb.
+_LEG_DOWN, _WRIST = (1.0, 0.35), (0.0, 1.2)
+_UPSIDE_DOWN = 3.0  # cost if the fork of the legs descends from that of the arms
+_APART = 1.0  # cost if neither fork descends from the other
+_NOT_HUMAN = 9.0  # cost at which a human rig and anything else are equally likely
 
 
 @dataclass(frozen=True)
@@ -53,8 +48,8 @@ class ShapeGuess:
     """Limbs found by shape.
 
     Attributes:
-        places: canonical names of limb joints to joints; feet, toes and hands only where the rig has them.
-        sure: probability from 0 to 1 of each of them, left and right aside.
+        places: canonical names of limb joints to joint indices; feet, toes and hands only if the rig has them.
+        sure: probability from 0 to 1 of each of them, apart from its side.
         sides_sure: probability that left is left.
     """
 
@@ -68,9 +63,9 @@ class _Pair:
     """Two branches with equal bones.
 
     Attributes:
-        fork: the joint that carries both.
-        joints: joints of both branches from the fork on.
-        way: length of the path from the fork to each of them, and to the end behind the last.
+        fork: the parent of both branches.
+        joints: joints of both branches, from the fork outwards.
+        way: path length from the fork to each of them, and to the end of the last bone.
     """
 
     fork: int
@@ -80,7 +75,7 @@ class _Pair:
 
 @dataclass(frozen=True)
 class _Limb:
-    """Upper, middle and lower joint of a pair, as indices into its joints; lower may be the end behind the last."""
+    """Upper, middle and lower joint of a pair, as indices into its joints; lower may be the end of the last bone."""
 
     pair: _Pair
     upper: int
@@ -93,7 +88,7 @@ class _Limb:
         return self.pair.way[self.lower] - self.pair.way[self.upper]
 
     def named(self, names: tuple[str, ...]) -> dict[str, tuple[int, int]]:
-        """The joints of both branches for names of upper, middle, lower and next joint, as far as there are joints."""
+        """Joints of both branches by names for the upper, middle, lower and next joint, as far as they exist."""
         at = (self.upper, self.middle, self.lower, self.lower + 1)
         joints = self.pair.joints
         return {name: joints[index] for name, index in zip(names, at, strict=False) if index < len(joints)}
@@ -105,7 +100,7 @@ _LEG_NAMES, _ARM_NAMES = ("UpLeg", "Leg", "Foot", "ToeBase"), ("Arm", "ForeArm",
 def limbs_by_shape(
     skeleton: Skeleton, sides: tuple[str, ...], poses: Array | None = None
 ) -> ShapeGuess | None:
-    """The legs and arms of a rig, None if it has none such.
+    """Find the legs and arms of a rig; None if it is not human.
 
     Args:
         skeleton: any rig.
@@ -136,7 +131,7 @@ def limbs_by_shape(
 
 
 def twins_by_shape(skeleton: Skeleton, poses: Array | None = None) -> tuple[int, ...] | None:
-    """The joint of the other side for each joint, by shape alone; central joints are their own. None if not human.
+    """Each joint's twin on the other side, by shape alone; central joints are their own twins. None if not human.
 
     Args:
         skeleton: any rig.
@@ -159,7 +154,7 @@ def twins_by_shape(skeleton: Skeleton, poses: Array | None = None) -> tuple[int,
 
 
 def _bodies(tree: _Tree, poses: Array) -> list[tuple[float, _Limb, _Limb]]:
-    """Costs, legs and arms of all likely assignments, the best first."""
+    """Costs, legs and arms of the likely assignments, the best first."""
     pairs = tree.pairs()
     legs = {pair: _limbs(tree, pair, _leg_cost) for pair in pairs}
     arms = {pair: _limbs(tree, pair, _arm_cost) for pair in pairs}
@@ -236,7 +231,7 @@ class _Tree:
         return self._matched[key]
 
     def pair_up(self, one: int, other: int, twins: list[int]) -> None:
-        """Make twins of two joints, and of those below them that are alike."""
+        """Make two joints twins, and the similar joints below them too."""
         twins[one], twins[other] = other, one
         free = list(self.children[other])
         for a in sorted(self.children[one], key=lambda j: -self.reach[j]):
@@ -247,7 +242,7 @@ class _Tree:
                 self.pair_up(a, nearest, twins)
 
     def pair_children(self, children: list[int], across: Array, twins: list[int]) -> None:
-        """Make twins of children of a central joint that lie on either side of the plane at right angles to across."""
+        """Make twins of children of a central joint that mirror each other in the plane at right angles to across."""
         offsets = self.skeleton.offsets.astype(np.float64)
         for a, b in combinations(children, 2):
             aside = float(offsets[a] @ across)
@@ -259,15 +254,15 @@ class _Tree:
                 self.pair_up(a, b, twins)
 
     def end(self, joint: int) -> Array:
-        """The End Site (3,) of a joint, zero without one."""
+        """The End Site (3,) of a joint; zero without one."""
         return np.array(self.skeleton.end_sites.get(joint, (0.0, 0.0, 0.0)))
 
     def carries(self, pair: _Pair, other: _Pair) -> bool:
-        """Whether a branch of a pair is, or carries, a branch of another."""
+        """Whether a branch of `other` equals or descends from a branch of `pair`."""
         return any(self.skeleton.descends(b, a) for a in pair.joints[0] for b in other.joints[0])
 
     def torso(self, low: int, high: int) -> float | None:
-        """Length of the path between two joints of which one carries the other, None for others."""
+        """Path length between two joints if one descends from the other, else None."""
         if not self.skeleton.descends(high, low):
             low, high = high, low
         if not self.skeleton.descends(high, low):
@@ -280,7 +275,7 @@ class _Tree:
 
 
 def _off(value: float, expected: tuple[float, float]) -> float:
-    """The cost of a value that is expected with this mean and deviation."""
+    """The cost of a value with an expected mean and standard deviation."""
     return 0.5 * ((value - expected[0]) / expected[1]) ** 2
 
 
@@ -308,12 +303,12 @@ def _leg_cost(before: float, thigh: float, shin: float, foot: float) -> float:
 
 
 def _arm_cost(before: float, upper: float, fore: float, hand: float) -> float:
-    """The cost of an arm by itself; its lengths are compared with those of the legs later."""
+    """The cost of an arm by itself; _body_cost compares its lengths with those of the legs."""
     return _off(math.log(hand / fore), _HAND_FORE) if hand else _NO_END
 
 
 def _bend_cost(tree: _Tree, pair: _Pair, top: int, bottom: int) -> float:
-    """The cost of a bone with joints along it that are not on one line."""
+    """The cost of joints along a bone that are not on a line."""
     if bottom >= len(pair.joints) or bottom == top + 1:
         return 0.0
     path = pair.way[bottom] - pair.way[top]
@@ -329,7 +324,7 @@ def _fork_cost(tree: _Tree, legs: _Pair, arms: _Pair) -> float:
 
 
 def _body_cost(tree: _Tree, leg: _Limb, arm: _Limb, poses: Array) -> float:
-    """The cost of a leg and an arm together: their lengths, and where they are in the poses."""
+    """The cost of a leg and an arm together, by their lengths and their places in the poses."""
     way, size = arm.pair.way, leg.length
     cost = _off(way[arm.upper] / size, _COLLAR_LEG)
     cost += _off(math.log((way[arm.middle] - way[arm.upper]) / size), _UPPER_LEG)
@@ -345,26 +340,26 @@ def _body_cost(tree: _Tree, leg: _Limb, arm: _Limb, poses: Array) -> float:
 
 
 def _joint(limb: _Limb, index: int, side: int, poses: Array) -> Array:
-    """A joint (P, 3) of a limb; the last one for the end behind it."""
+    """Positions (P, 3) of a limb's joint; the last joint stands for the end of its bone."""
     return poses[:, limb.pair.joints[min(index, len(limb.pair.joints) - 1)][side]]
 
 
 def _across(limb: _Limb, index: int, poses: Array) -> Array:
-    """The way (P, 3) from a joint of the second branch to that of the first."""
+    """Vectors (P, 3) from a joint of the second branch to that of the first."""
     return _joint(limb, index, 0, poses) - _joint(limb, index, 1, poses)
 
 
 def _middle(limb: _Limb, index: int, poses: Array) -> Array:
-    """The middle (P, 3) between the joints of both sides."""
+    """Midpoints (P, 3) between the joints of both sides."""
     return 0.5 * (_joint(limb, index, 0, poses) + _joint(limb, index, 1, poses))
 
 
 def _left(
     tree: _Tree, sides: tuple[str, ...], limbs: tuple[_Limb, _Limb], poses: Array
 ) -> tuple[float, int, int]:
-    """How sure left is left, and which branch is the left one of legs and of arms: by names, else by facing."""
+    """The probability of the sides, and the left branch of legs and of arms: by names, else by facing."""
     leg, arm = limbs
-    # Knees and elbows swing to the other side in a stride; hips and shoulders count more.
+    # Hips and shoulders count more, because knees and elbows may cross the middle.
     across = [3.0 * _across(limb, limb.upper, poses) + _across(limb, limb.middle, poses) for limb in limbs]
     same = float(np.median((across[0] * across[1]).sum(-1))) >= 0.0
     votes = 0
@@ -382,13 +377,13 @@ def _left(
 
 _LEFTNESS = {"left": 1, "right": -1, "": 0}
 _SIDE_STEEP = 8.0
-_TRUST_TRAVEL, _TRUST_Z = 0.3, 0.15  # in ways that bodies go, and in +Z, beside that in feet and knees
+_TRUST_TRAVEL, _TRUST_Z = 0.3, 0.15  # weights of the direction of travel and of +Z; feet and knees have 1
 
 
 def _leftward(tree: _Tree, leg: _Limb, arm: _Limb, across: Array, poses: Array) -> float:
-    """How far (-1 to 1) the first branch is to the left, by what tells where ahead is.
+    """Evidence (-1 to 1) that the first branch is the left one, from the first sign of where forward is.
 
-    Feet point forward, knees bend forward; without both, bodies mostly go forward, and last of all +Z is ahead.
+    The signs are, in this order: feet point forward, knees bend forward, bodies mostly travel forward, +Z is forward.
     """
     up = normalized(_middle(arm, arm.upper, poses) - _middle(leg, leg.upper, poses))
     hip, knee, ankle = (_middle(leg, index, poses) for index in (leg.upper, leg.middle, leg.lower))

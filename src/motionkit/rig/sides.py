@@ -1,11 +1,11 @@
-"""Left and right: words for them in names of joints and of motion types, and pairs of joints by their names."""
+"""Left and right: words for them in names of joints and motion types, and twin joints by name."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
-# Left and right words of the languages that rigs and folders are named in; single letters of English only.
+# Words for left and right in the languages of rig and folder names; single letters in English only.
 WORDS: tuple[tuple[str, str], ...] = (
     ("left", "right"),
     ("l", "r"),
@@ -32,7 +32,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     ("hidari", "migi"),
 )
 LEFT_WORDS = frozenset(left for left, _ in WORDS)
-# A word that stands for two on the other side ("gauche") is not among them: the first pair counts.
+# The word for the other side; the first pair counts for a word in two pairs ("gauche").
 OTHER = {left: right for left, right in reversed(WORDS)} | {right: left for left, right in WORDS}
 LONG_WORDS = tuple(
     sorted((word for word in OTHER if len(word) > 3 or not word.isascii()), key=len, reverse=True)
@@ -40,7 +40,7 @@ LONG_WORDS = tuple(
 
 
 def other_side(word: str) -> str:
-    """The word for the other side, in the same case; a word that names no side as it is."""
+    """The word for the other side, in the same case; a word without a side stays as it is."""
     other = OTHER.get(word.lower())
     if other is None:
         return word
@@ -49,8 +49,8 @@ def other_side(word: str) -> str:
     return other.capitalize() if word[:1].isupper() else other
 
 
-# How rigs mark a side, from the clearest to the vaguest. A mark counts only if the name with the other side exists
-# too, so that names such as "lowerback" or "rib" have no side.
+# Marks of a side in joint names, from the clearest to the vaguest. A mark counts only if the name with the other side
+# exists too, so that names such as "lowerback" or "rib" have no side.
 _SIDE_MARKS = tuple(
     re.compile(pattern)
     for pattern in (
@@ -65,7 +65,7 @@ _SIDE_MARKS = tuple(
 
 
 def _paired_marks(names: Sequence[str]) -> dict[int, tuple[int, bool]]:
-    """For each joint with a twin: the twin's index, and whether the joint is a left one."""
+    """For each joint with a twin, the index of the twin, and whether the joint is on the left."""
     indices = {name: index for index, name in enumerate(names)}
     paired: dict[int, tuple[int, bool]] = {}
     for mark in _SIDE_MARKS:
@@ -85,6 +85,6 @@ def left_right_twins(names: Sequence[str]) -> tuple[int, ...]:
 
 
 def joint_sides(names: Sequence[str]) -> tuple[str, ...]:
-    """The side of each joint: "left", "right", or "" without a twin."""
+    """The side of each joint: "left", "right", or "" for a joint without a twin."""
     paired = _paired_marks(names)
     return tuple(("left" if paired[i][1] else "right") if i in paired else "" for i in range(len(names)))

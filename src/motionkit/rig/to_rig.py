@@ -1,8 +1,8 @@
-"""Motion of the canonical joints on a user's rig: its rest pose, axes and lengths.
+"""Puts motion of the canonical joints on a user's rig, with its rest pose, axes and lengths.
 
-The inverse of retarget: the global rotation of a joint of the rig is that of its canonical joint times the inverse of
-the difference between the rest poses. In between stands a body with the canonical joints and the rig's own bones,
-scaled to canonical legs: wherever a canonical joint of that body is, so is the rig's joint.
+This is the inverse of retarget.py: the global rotation of a rig's joint is that of its canonical joint times the
+inverse of the rest-pose difference. The motion first goes to a body with the canonical joints and the bones of the rig,
+scaled to canonical legs. The joints of the rig are where those of this body are.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ THIGHS = [JOINT_NAMES.index(f"{side}UpLeg") for side in SIDES]
 
 
 def to_rig(motion: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
-    """Put a motion on a rig, its feet as they come; finish.on_rig holds them.
+    """Put a motion on a rig without foot locking; finish/on_rig.py also locks the feet.
 
     Args:
         motion: T frames on the canonical joints, in cm, the floor at height zero.
         rig: the rig.
-        clip: motion of the rig at the rate of motion: joints without a canonical joint move as they do there, and as
-            in its last frame once it is over. In their rest pose by default.
+        clip: motion of the rig, at the rate of motion, that moves the joints without a canonical joint; its last frame
+            lasts. By default these joints stay in their rest pose.
 
     Returns:
         T frames on the rig's skeleton, in its unit and axes.
@@ -45,15 +45,15 @@ def to_rig(motion: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
 
 
 def rig_bvh(motion: Motion, rig: Rig) -> BvhFile:
-    """A motion on the rig's skeleton as a file with the rig's hierarchy and channels."""
+    """Convert a motion on the rig's skeleton to a file with the rig's hierarchy and channels."""
     return replace(motion_to_bvh(motion, rig.channels), hierarchy=rig.hierarchy)
 
 
 def rig_body(rig: Rig) -> Skeleton:
-    """The canonical joints with the bones of a rig, scaled to canonical legs.
+    """The body of a rig: canonical joints with the bones of the rig, scaled to canonical legs.
 
-    Its offsets are those of the rig's joints, turned to canonical rest directions. Joints that the rig lacks are at
-    the place of their parents, or beyond the last joint of a limb as in the canonical skeleton.
+    Its offsets are those of the rig, turned to canonical rest directions. A joint that the rig lacks is at the place of
+    its parent. Beyond the last joint of a limb, it is as in the canonical skeleton.
     """
     source = SourceRig(rig.skeleton, rig.joints, rig.skeleton.rest_positions())
     canonical = canonical_skeleton()
@@ -76,9 +76,9 @@ def rig_body(rig: Rig) -> Skeleton:
 
 
 def on_body(motion: Motion, rig: Rig) -> Motion:
-    """The same global rotations on the body of a rig (rig_body), its thighs where those of the motion are.
+    """Put the global rotations of a motion on the body of a rig (rig_body), with the thighs in the same place.
 
-    Positions are scaled for legs of canonical length. Joints that the rig lacks turn with their parents.
+    Positions are scaled to canonical leg length. Joints that the rig lacks turn with their parents.
     """
     rotations, positions = motion_kinematics(motion)
     carriers = [0] * len(JOINT_NAMES)
@@ -94,7 +94,7 @@ def on_body(motion: Motion, rig: Rig) -> Motion:
 
 
 def stance(motion: Motion, rig: Rig, contacts: Array) -> float | None:
-    """The height at which toes, or ankles for a rig without toes, stand, for canonical legs; None if they never do."""
+    """The standing height of toes (ankles for a rig without toes), for canonical legs; None if they never stand."""
     part = stance_part(rig.joints)
     joints = [JOINT_NAMES.index(f"{side}{part}") for side in SIDES]
     heights = motion_kinematics(motion)[1][:, joints, 1]
@@ -104,12 +104,12 @@ def stance(motion: Motion, rig: Rig, contacts: Array) -> float | None:
 
 
 def standing_height(rig: Rig, usual: float) -> float:
-    """The height in cm, for canonical legs, at which toes or ankles of a rig stand; usual where its file shows none."""
+    """The standing height in cm of a rig's toes or ankles, for canonical legs; `usual` if its file shows none."""
     return max(usual if rig.stance is None else rig.stance, _depth(rig))
 
 
 def _depth(rig: Rig) -> float:
-    """How far below its toe, or its ankle, the lowest point of a flat foot is, in cm of the rig's body."""
+    """Depth of the lowest point of a flat foot below its toe, or its ankle, in cm of the rig's body."""
     rest, skeleton = rig.skeleton.rest_positions(), rig.skeleton
     depths = [0.0]
     for side in SIDES:
@@ -127,7 +127,7 @@ def _depth(rig: Rig) -> float:
 
 
 def from_body(body: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
-    """The rig's own rotations and positions for a motion of its body (rig_body); clip as for to_rig."""
+    """Convert a motion of a rig's body (rig_body) to the rig; clip is as for to_rig."""
     skeleton, frames = rig.skeleton, len(body)
     rotations, _ = motion_kinematics(body)
     down = quat_inverse(up_turn(rig.up)).astype(np.float64)
@@ -139,7 +139,7 @@ def from_body(body: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
     )
     local, places = _kept(rig, frames, clip)
     carriers = {joint: JOINT_NAMES.index(name) for name, joint in rig.joints.places.items()}
-    carriers.setdefault(top_joint(skeleton, rig.joints), 0)  # a spine beside the hips turns with them
+    carriers.setdefault(top_joint(skeleton, rig.joints), 0)  # a joint above hips and spine turns as the hips
     carriers = {joint: carrier for joint, carrier in carriers.items() if _turns(rig, joint)}
     turn = _turn_from_rest if clip is None else _turn_from_clip
     turned = turn(rig, carriers, wanted, local)
@@ -157,12 +157,12 @@ def from_body(body: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
 
 
 def _turn_from_rest(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: Doubles) -> Doubles:
-    """Global rotations (T, J, 4) of the rig where all joints without a canonical one keep their rest pose.
+    """Global rotations (T, J, 4) of the rig, with joints that have no canonical joint in their rest pose.
 
     Args:
-        carriers: joints of the rig to the canonical joints whose rotation they take.
-        wanted: (T, 23, 4) the global rotations they take.
-        local: (T, J, 4) local rotations at rest; those of the carriers are set.
+        carriers: rig joint to the canonical joint whose rotation it takes.
+        wanted: (T, 23, 4) global rotations of the canonical joints on the rig.
+        local: (T, J, 4) local rotations of the rest pose; those of the carriers are set in place.
     """
     parents = rig.skeleton.parents
     every = np.concatenate([wanted, quat_identity((len(wanted), 1), np.float64)], axis=1)
@@ -177,7 +177,7 @@ def _turn_from_rest(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: 
 
 
 def _turn_from_clip(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: Doubles) -> Doubles:
-    """The same where joints without a canonical one have the local rotations of a clip."""
+    """Like _turn_from_rest, but joints without a canonical joint keep the local rotations of a clip."""
     skeleton = rig.skeleton
     turned = quat_identity((len(wanted), len(skeleton)), np.float64)
     above = quat_identity((len(wanted),), np.float64)
@@ -199,7 +199,7 @@ def _turns(rig: Rig, joint: int) -> bool:
 
 
 def _between(skeleton: Skeleton, top: int, bottom: int) -> list[int]:
-    """The joints below top as far as bottom, from above."""
+    """The joints below `top` down to `bottom`, from the top."""
     out = []
     while bottom != top:
         out.append(bottom)
@@ -208,7 +208,7 @@ def _between(skeleton: Skeleton, top: int, bottom: int) -> list[int]:
 
 
 def _kept(rig: Rig, frames: int, clip: Motion | None) -> tuple[Doubles, Doubles]:
-    """Local rotations (T, J, 4) and positions (T, J, 3) to begin with: those of the rest pose or of a clip."""
+    """Initial local rotations (T, J, 4) and positions (T, J, 3), from the rest pose or a clip."""
     places = np.broadcast_to(rig.skeleton.offsets.astype(np.float64), (frames, len(rig.skeleton), 3)).copy()
     if clip is None:
         return quat_identity((frames, len(rig.skeleton)), np.float64), places
@@ -222,7 +222,7 @@ def _kept(rig: Rig, frames: int, clip: Motion | None) -> tuple[Doubles, Doubles]
 
 
 def _move(rig: Rig, places: Doubles, turned: Doubles, hips: Doubles) -> None:
-    """Move the body so that its hips are at hips (T, 3): shifts the local positions of one joint in places."""
+    """Move the body so that its hips are at hips (T, 3), by the local positions of one joint, changed in place."""
     skeleton = rig.skeleton
     moved = mover(skeleton, rig.channels, rig.joints)
     assert moved is not None  # make_rig has checked it

@@ -1,4 +1,4 @@
-"""The one table of length units, and the unit of a file, by the size of its body."""
+"""The table of length units, and detection of a file's unit by the size of its body."""
 
 from __future__ import annotations
 
@@ -31,24 +31,23 @@ UNITS = (
     Unit("CMU units", "CMU units", 2.54 / 0.45),
     Unit("decimetres", "dm", 10.0),
 )
-# Standing height in cm: the plausible range, and the most likely height.
+# Standing height in cm: plausible range and most likely height.
 SHORTEST, TALLEST, TYPICAL = 130.0, 215.0, 172.0
 PLAUSIBLE_LEG = (40.0, 140.0)  # cm, thigh plus shin of the smallest and the tallest people
-# Leg length in file units; kilometres and micrometres are out of range. Dividing by less would overflow.
+# Range of leg lengths in file units; kilometres and micrometres are outside. Division by less would overflow.
 SHORTEST_LEG, LONGEST_LEG = 1e-3, 1e6
-METRES_UP_TO = 3.0  # size in file units up to which a rig that is not human is in metres
-# The longest chains from the root end at the toes and at the head or a hand; twice their length, over the height.
-CHAINS_TO_STATURE = 1.17
+METRES_UP_TO = 3.0  # largest size, in file units, of a non-human rig in metres
+CHAINS_TO_STATURE = 1.17  # twice the longest chain of joints from the root, relative to the standing height
 
 
 def likely_unit(height: float) -> Unit | None:
-    """The unit in which a standing height is most likely a human's; None if it is in none of them."""
+    """The unit in which a standing height is most likely that of a human; None if no unit fits."""
     fitting = [unit for unit in UNITS if SHORTEST <= height * unit.cm <= TALLEST]
     return min(fitting, key=lambda unit: abs(height * unit.cm - TYPICAL)) if fitting else None
 
 
 def guess_scale(leg: float) -> tuple[float, str]:
-    """Detect the unit from a leg length in file units; a body of no human stature is scaled to a typical one.
+    """Detect the unit from a leg length in file units; if no unit fits, scale the body to a typical stature.
 
     Returns:
         cm per file unit, and how it was determined.
@@ -73,10 +72,10 @@ def check_leg(leg: float) -> None:
 
 
 def motion_unit(motion: Motion) -> tuple[float, str]:
-    """cm per unit of a motion of any rig, and how it was determined.
+    """Detect cm per unit of a motion of any rig; also returns how it was determined.
 
-    The canonical joints are in cm if their legs can be that long. A rig that is not human is in metres where it is
-    small, else in cm.
+    The canonical joints are in cm if their legs have a plausible length. A non-human rig is in metres if it is small,
+    else in cm.
     """
     leg = rig_leg(motion.skeleton)
     if set(motion.skeleton.names) == set(JOINT_NAMES) and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
@@ -89,7 +88,7 @@ def motion_unit(motion: Motion) -> tuple[float, str]:
 
 
 def rig_leg(skeleton: Skeleton) -> float:
-    """Thigh plus shin of a human rig in its unit, the mean of its whole legs; 0 for other rigs."""
+    """Thigh plus shin of a human rig in its unit, the mean of its complete legs; 0 for other rigs."""
     try:
         places = map_rig(skeleton).places
     except SkeletonError:
@@ -101,7 +100,7 @@ def rig_leg(skeleton: Skeleton) -> float:
 
 
 def stature(motion: Motion) -> float:
-    """The standing height of a body in its unit: by its legs, or by its longest chain of joints if it is not human."""
+    """The standing height of a body in its unit, by its legs, or by its longest chain of joints if not human."""
     if leg := rig_leg(motion.skeleton):
         return leg / LEG_TO_STATURE
     parents = motion.skeleton.parents

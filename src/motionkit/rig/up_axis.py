@@ -1,4 +1,4 @@
-"""The axis of a motion's world that points up: BVH files do not say it."""
+"""Detects the axis of a motion's world that points up, because BVH files do not say it."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_between, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton
 
-# Votes for Y, and for the axis of a standing rest pose, beside the mean cosine with the recorded bodies: these may be
-# on the floor or upside down for a whole clip.
+# Weights of Y and of the up axis of a standing rest pose, added to the mean cosine of recorded bodies with each axis.
+# Recorded bodies may lie on the floor or be upside down for a whole clip.
 Y_VOTES, REST_VOTES = 0.3, 0.4
-_STANDS = 0.8  # least cosine of head above feet with an axis in a standing rest pose
-_LIES_WITHIN = (0.05, 0.25)  # below and above height zero, of a body's length
+_STANDS = 0.8  # cosine between an axis and the line from feet to head, above which a rest pose stands
+_LIES_WITHIN = (0.05, 0.25)  # distances below and above height zero, as shares of the body's size
 _AXES = np.eye(3, dtype=np.float32)
 
 
@@ -26,13 +26,13 @@ def voted_up(
 ) -> Array:
     """The axis (3,) that points up, with its sign.
 
-    A body that lies on the ground of Y for a whole clip, as in push-ups, points elsewhere; but its lowest joint is at
-    about height zero of Y, and not of where it points.
+    A body that lies on the ground for a whole clip, as in push-ups, does not point up. So Y still wins if the lowest
+    joint is at about height zero along Y, and not along the other axis.
 
     Args:
         positions: (T, J, 3) of the recorded joints.
         directions: (T, 3) from lower to higher parts of the recorded bodies, of any length.
-        rest: (3,) the same in a rest pose that stands; None without one.
+        rest: (3,) the same in a standing rest pose; None without one.
         rest_votes: weight of the rest pose.
     """
     mean = normalized(directions).mean(axis=0)
@@ -49,10 +49,10 @@ def voted_up(
 
 
 def up_axis(positions: Array, skeleton: Skeleton) -> Array:
-    """The axis (3,) that points up in global positions (T, J, 3), with its sign: from the feet to the head.
+    """The axis (3,) from the feet to the head in global positions (T, J, 3), with its sign.
 
-    For rigs without such joint names, Y or Z, along which the body is larger, Y if in doubt: a long body whose lowest
-    joint in the whole clip is about at height zero of Y, such as a snake or an arm on a table, lies there.
+    Without such joint names, it is Y or Z, the axis along which the body is larger, and Y if in doubt. A long body such
+    as a snake or an arm on a table lies on the ground of Y if its lowest joint is at about height zero along Y.
     """
     high = _named(skeleton.names, r"head|neck")
     low = _named(skeleton.names, r"foot|toe|ankle")
@@ -67,7 +67,7 @@ def up_axis(positions: Array, skeleton: Skeleton) -> Array:
 
 
 def _on_ground(positions: Array, up: Array) -> bool:
-    """Whether the lowest joint of a clip (T, J, 3) is at about height zero, if an axis points up."""
+    """Whether the lowest joint of a clip (T, J, 3) is at about height zero along an axis."""
     size = float((positions.max(axis=1) - positions.min(axis=1)).mean(axis=0).max())
     return -_LIES_WITHIN[0] * size <= float((positions @ up).min()) <= _LIES_WITHIN[1] * size
 
@@ -84,7 +84,7 @@ def up_turn(up: Array) -> Array:
 
 
 def turned_world(motion: Motion, turn: Array) -> Motion:
-    """The motion in a world turned by a rotation (4,)."""
+    """Turn the world of a motion by a rotation (4,)."""
     rotations = motion.local_rotations.copy()
     turns = np.broadcast_to(turn.astype(rotations.dtype), rotations[:, 0].shape)
     rotations[:, 0] = quat_multiply(turns, rotations[:, 0])
@@ -97,5 +97,5 @@ def _named(names: Sequence[str], pattern: str) -> list[int]:
 
 
 def _between(positions: Array, high: list[int], low: list[int]) -> Array:
-    """From the mean of the low joints to that of the high ones (T, 3)."""
+    """Vectors (T, 3) from the mean of the low joints to the mean of the high joints."""
     return np.asarray(positions[:, high].mean(axis=1) - positions[:, low].mean(axis=1))

@@ -1,4 +1,4 @@
-"""A motion of any rig in cm with Y up, what its canonical joints say of it, and the way back to its own units."""
+"""Brings a motion of any rig into cm with Y up and back, with measurements on its canonical joints."""
 
 from __future__ import annotations
 
@@ -21,10 +21,8 @@ from motionkit.rig.units import motion_unit
 from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
 
 CM, CM_PER_METRE = 0.01, 100.0  # metres per cm, and cm per metre
-STILL_ROOT, MOVING_HIPS = (
-    1.0,
-    30.0,
-)  # cm within which a root stays that does not carry the way, and hips go that do
+# Range over the ground in cm below which a root stands still, and from which the hips below it travel.
+STILL_ROOT, MOVING_HIPS = 1.0, 30.0
 _Y_UP = np.array([0.0, 1.0, 0.0], np.float32)
 
 
@@ -34,8 +32,8 @@ class InMetres:
 
     Attributes:
         motion: the motion.
-        scale: metres per unit of the motion it was made of.
-        up: (3,) the axis of that motion which points up.
+        scale: metres per unit of the original motion.
+        up: (3,) up axis of the original motion.
         note: how unit and axis were determined.
     """
 
@@ -61,9 +59,9 @@ class Upright:
 
     Attributes:
         motion: the motion on its own joints.
-        scale: cm per unit of the motion it was made of.
-        up: (3,) the axis that pointed up in that motion.
-        rig: the skeleton of that motion; None where there is no way back to it.
+        scale: cm per unit of the original motion.
+        up: (3,) up axis of the original motion.
+        rig: skeleton of the original motion; None if unknown.
     """
 
     motion: Motion
@@ -73,16 +71,16 @@ class Upright:
 
     @staticmethod
     def of(motion: Motion) -> Upright:
-        """Bring a motion of any rig and unit into cm with Y up, and with its way over the ground in the root."""
+        """Bring a motion of any rig and unit into cm with Y up, with its movement over the ground in the root."""
         metres = in_metres(motion)
         scaled = _carried_by_root(metres.motion.scaled(CM_PER_METRE))
         return Upright(scaled, metres.scale * CM_PER_METRE, metres.up, motion.skeleton)
 
     def back(self, motion: Motion) -> Motion:
-        """A motion in cm with Y up, in the unit and with the up axis of the motion this was made of."""
+        """Bring a motion in cm with Y up back to the unit and the up axis of the original motion."""
         out = motion.scaled(1.0 / self.scale)
         if self.rig is not None and motion.skeleton.names == self.rig.names:
-            out = replace(out, skeleton=self.rig)  # as it was, to the last digit
+            out = replace(out, skeleton=self.rig)  # the original offsets, to the last digit
         return out if self.up[1] >= 1.0 else turned_world(out, quat_inverse(up_turn(self.up)))
 
     @cached_property
@@ -107,7 +105,7 @@ class Upright:
 
     @cached_property
     def facing_positions(self) -> Array:
-        """Positions (T, J, 3) in cm relative to the root's place on the ground and its heading."""
+        """Positions (T, J, 3) in cm in the heading frame."""
         place = self.positions[:, :1] * np.array([1.0, 0.0, 1.0], np.float32)
         return quat_rotate(quat_from_yaw(-self.heading)[:, None], self.positions - place)
 
@@ -121,9 +119,9 @@ class Upright:
 
 
 def _carried_by_root(motion: Motion) -> Motion:
-    """A motion in cm whose root moves where the joint below it did, if the root stood still; no joint is elsewhere.
+    """Move the translation of the joint below a still root into the root; all joints stay where they are.
 
-    Some rigs have a root that stays at the origin, and hips that go.
+    In some rigs the root stays at the origin and the hips travel.
     """
     below = motion.skeleton.children(0)
     if motion.local_positions is None or len(below) != 1 or _range(motion.root_positions) > STILL_ROOT:
@@ -140,10 +138,10 @@ def _carried_by_root(motion: Motion) -> Motion:
 
 
 def _range(places: Array) -> float:
-    """How far places (T, 3) go over the ground, along x or z."""
+    """Range of positions (T, 3) along x or z, the larger of both."""
     return float(np.ptp(places[:, [0, 2]], axis=0).max())
 
 
 def relative_rotation(above: Array, below: Array) -> Array:
-    """The rotation (..., 4) in the space of `above` of a global rotation `below`."""
+    """Global rotations `below` (..., 4) expressed in the space of rotations `above`."""
     return quat_multiply(quat_inverse(above), below)
