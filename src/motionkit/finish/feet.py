@@ -1,7 +1,7 @@
 """Foot locking for whole motions: feet stay in place during contacts, by two-bone IK with eased transitions.
 
-Works on the canonical joints. During a contact the toe stays in one place at standing height; the knee bends to reach it,
-and the hips come down where the leg is too short. The C kernels lock the feet of live characters frame by frame.
+Works on the canonical joints. During a contact the toe stays in one place at standing height; the knee bends to reach
+it, and the hips come down where the leg is too short. The C kernels lock the feet of live characters frame by frame.
 """
 
 from __future__ import annotations
