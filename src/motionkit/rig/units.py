@@ -87,12 +87,17 @@ def motion_unit(motion: Motion) -> tuple[float, str]:
     return 1.0, "no human rig; taken as centimetres"
 
 
-def rig_leg(skeleton: Skeleton) -> float:
-    """Thigh plus shin of a human rig in its unit, the mean of its complete legs; 0 for other rigs."""
+def rig_places(skeleton: Skeleton) -> dict[str, int]:
+    """The joints of the canonical joints of a human rig; none for other rigs."""
     try:
-        places = map_rig(skeleton).places
+        return map_rig(skeleton).places
     except SkeletonError:
-        return 0.0
+        return {}
+
+
+def rig_leg(skeleton: Skeleton) -> float:
+    """Thigh plus shin of a human rig in its unit, the mean of its whole legs; 0 for other rigs."""
+    places = rig_places(skeleton)
     rest = skeleton.rest_positions()
     legs = [[f"{side}{part}" for part in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")]
     chains = [rest[[places[name] for name in leg]] for leg in legs if all(name in places for name in leg)]

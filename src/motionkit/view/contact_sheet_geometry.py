@@ -12,7 +12,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
 from motionkit.rig.sides import joint_sides
-from motionkit.rig.units import likely_unit, stature
+from motionkit.rig.units import likely_unit, rig_places, stature
 from motionkit.rig.up_axis import up_axis, up_turn
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def motion_figure(motion: Motion) -> Figure:
     count = len(skeleton)
     bones = [(parent, joint) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
     bones += [(joint, count + n) for n, joint in enumerate(ends)]
-    size = stature(motion)
+    size, places = stature(motion), rig_places(skeleton)
     sides = joint_sides(skeleton.names)
     points_sides = sides + tuple(sides[joint] for joint in ends)
     floor, floor_is_zero = _floor(points, size)
@@ -94,8 +94,8 @@ def motion_figure(motion: Motion) -> Figure:
         tuple(bone for bone in bones if not _is_loose(points, bone, size) and bone[1] not in stand),
         points_sides,
         hips,
-        _head(skeleton.names),
-        _feet(skeleton.names, sides, points),
+        _head(places, skeleton.names),
+        _feet(places, skeleton.names, sides, points),
         floor,
         floor_is_zero,
         _facing(points, sides),
@@ -126,16 +126,27 @@ def _hips(points: Array, parents: tuple[int, ...], floor: float, stature: float)
     return hips
 
 
-def _head(names: tuple[str, ...]) -> int | None:
+def _head(places: dict[str, int], names: tuple[str, ...]) -> int | None:
+    """The head of the bone map; without one the last joint whose name says head, or neck."""
+    if "Head" in places:
+        return places["Head"]
     heads = [i for i, name in enumerate(names) if re.search(r"head(?!.*(end|nub|top))", name, re.IGNORECASE)]
     necks = [i for i, name in enumerate(names) if re.search(r"neck", name, re.IGNORECASE)]
     found = heads or necks
     return found[-1] if found else None
 
 
-def _feet(names: tuple[str, ...], sides: tuple[str, ...], points: Array) -> dict[str, int]:
-    """For each side the toe, else the foot, else the lowest joint; without sides, the lowest joint."""
-    feet: dict[str, int] = {}
+def _feet(
+    places: dict[str, int], names: tuple[str, ...], sides: tuple[str, ...], points: Array
+) -> dict[str, int]:
+    """For each side its toe or foot of the bone map; without one the lowest joint whose name says so, or of all."""
+    mapped = {
+        side.lower(): places.get(f"{side}ToeBase", places.get(f"{side}Foot")) for side in ("Left", "Right")
+    }
+    feet = {side: joint for side, joint in mapped.items() if joint is not None}
+    if len(feet) == len(mapped):
+        return feet
+    feet = {}
     heights = points[:, : len(names), 1].mean(axis=0)
     for side in sorted(set(sides) - {""}) or [""]:
         own = [i for i, s in enumerate(sides) if s == side]
