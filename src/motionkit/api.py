@@ -72,12 +72,17 @@ def read_rig(path: str | Path, map: str | Path | None = None) -> Rig:
 
 
 def retarget(
-    motion: Motion | str | Path, rig: Rig | str | Path, *, ik: bool = True, clip: str | Path | None = None
+    motion: Motion | SynthesisResult | FollowResult | str | Path,
+    rig: Rig | str | Path,
+    *,
+    ik: bool = True,
+    clip: str | Path | None = None,
 ) -> Clip:
     """Retarget a motion to a user's rig; mk.write saves the result. A .bvh file keeps the rig's hierarchy and channels.
 
     Args:
-        motion: on the 23 canonical joints in cm, the floor at height zero; or a BVH file of any human rig.
+        motion: on the 23 canonical joints in cm, the floor at height zero; a result of synthesize or follow_path, whose
+            feet are then locked on the rig's body alone; or a BVH file of any human rig.
         rig: result of read_rig, or a file.
         ik: keep the rig's feet on the floor, and hold them while those of the motion are in contact.
         clip: BVH file of the rig that animates its other joints (fingers, props); by default they keep their rest pose.
@@ -90,12 +95,17 @@ def retarget(
     """
     from motionkit.export.clip import Clip
     from motionkit.finish.on_rig import on_rig
+    from motionkit.motion.motion import Motion
     from motionkit.rig.on_rig import read_clip, read_on_any_rig
 
     target = read_rig(rig) if isinstance(rig, (str, Path)) else rig
+    drawn = None
     if isinstance(motion, (str, Path)):
         motion = read_on_any_rig(motion, target)[0]
-    made = on_rig(motion, target, ik, None if clip is None else read_clip(clip, target))
+    elif not isinstance(motion, Motion):
+        drawn = motion.unfinished
+        motion = motion.motion
+    made = on_rig(motion, target, ik, None if clip is None else read_clip(clip, target), drawn)
     return Clip(made, channels=target.channels, hierarchy=target.hierarchy)
 
 

@@ -211,7 +211,7 @@ def test_new_motion_on_my_rig(place: Path) -> None:
     followed = run("follow-path", "line", "--size", "1", "--rig", "my.bvh", "-o", "b.bvh", "--view")
     assert followed.exit_code == 0 and "on my.bvh, reached the end" in followed.output, followed.output
     assert hierarchy("a.bvh") == hierarchy("b.bvh") == hierarchy("my.bvh") and Path("b.html").exists()
-    door = mk.retarget(mk.synthesize("walking:0.5").motion, mk.read_rig("my.bvh"))
+    door = mk.retarget(mk.synthesize("walking:0.5"), mk.read_rig("my.bvh"))
     mk.write("door.bvh", door)
     run("synthesize", "--types", "walking:0.5", "--rig", "my.bvh", "-o", "c.bvh")
     assert Path("door.bvh").read_bytes() == Path("c.bvh").read_bytes()

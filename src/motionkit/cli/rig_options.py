@@ -96,11 +96,8 @@ class RigChoice:
         if self.rig is None:
             return motion
         from motionkit.finish.on_rig import on_rig
-        from motionkit.motion.motion import resample
 
-        if drawn is None or not ik:
-            return on_rig(motion, self.rig, ik, self.clip)
-        return resample(on_rig(drawn.motion, self.rig, ik, self.clip, drawn), motion.fps)
+        return on_rig(motion, self.rig, ik, self.clip, drawn)
 
     def put(
         self, motion: Motion, ik: bool, cyclic: bool = False, drawn: Unfinished | None = None

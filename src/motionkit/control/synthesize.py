@@ -88,6 +88,11 @@ class SynthesisResult:
         return self.motions[0].motion
 
     @property
+    def unfinished(self) -> Unfinished | None:
+        """What the first motion was finished from."""
+        return self.motions[0].unfinished
+
+    @property
     def frames(self) -> int:
         """Frames of all motions at the model's rate."""
         return sum(len(s.contacts) for s in self.motions)

@@ -29,19 +29,21 @@ def on_rig(
         rig: from read_rig.
         ik: finish the motion on the body of the rig, with feet locked during the contacts of the motion.
         clip: motion of the rig that moves its other joints (fingers, props); from read_clip.
-        drawn: the same motion with the contacts that a network predicted. By default the motion was recorded, and
-            contacts come from height and speed.
+        drawn: what a synthesized motion was finished from. It is finished on the body of the rig instead, so that feet
+            are locked once, and has the rate of motion. By default the motion was recorded, and contacts are found by
+            height and speed.
 
     Raises:
         SkeletonError: clip has other joints than the rig.
     """
-    body = on_body(motion, rig)
-    if ik:
-        if drawn is None:
-            contacts = foot_contacts(canonical_places(motion), motion.fps)
-            drawn = Unfinished(motion, contacts, Finish(drawn=False))
-        body = _finished(body, rig, drawn)
-    return from_body(body, rig, None if clip is None else resample(clip, motion.fps))
+    if drawn is None:
+        contacts = foot_contacts(canonical_places(motion), motion.fps)
+        drawn = Unfinished(motion, contacts, Finish(drawn=False))
+    source = drawn.motion if ik else motion
+    body = on_body(source, rig)
+    body = _finished(body, rig, drawn) if ik else body
+    made = from_body(body, rig, None if clip is None else resample(clip, source.fps))
+    return resample(made, motion.fps)
 
 
 def _finished(body: Motion, rig: Rig, drawn: Unfinished) -> Motion:
