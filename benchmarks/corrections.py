@@ -22,6 +22,7 @@ from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import MotionkitError
 from motionkit.finish import feet, finish, root_height
 from motionkit.finish.finish import Unfinished
+from motionkit.lab.scoreboard.smoothness import AT_LIMIT
 from motionkit.metrics.flight import flights
 from motionkit.metrics.foot_sliding import sliding_over_ground
 from motionkit.metrics.ground import foot_skate_ratio
@@ -35,7 +36,6 @@ from motionkit.motion.motion import Motion
 
 SECONDS = 4.0  # of types that are not performances
 STANDING = 2.2  # cm; the floor that skating toes are measured above
-AT_LIMIT = 0.98  # share of the limit from which on it holds the root
 PATHS = (("circle", "walking"), ("square", "running"), ("figure-eight", "running,cartwheel,running"))
 COLUMNS = ("sliding", "skate", "hover", "lowest", "acceleration", "free fall", "leaps", "at limit")
 WORST: dict[str, Callable[[Array], float]] = {"lowest": np.min}

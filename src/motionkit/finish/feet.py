@@ -12,6 +12,7 @@ import numpy as np
 
 from motionkit.arrays import Array, length, lower_median, peak_smoothed, smoothstep
 from motionkit.motion.contacts import CONTACT_HEIGHTS
+from motionkit.motion.frame_rate import RATE, frames_at
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.leg_ik import (
     ANKLES,
@@ -38,7 +39,6 @@ LIFT_FRAMES = 2  # a toe that is too low reaches its height this many frames ear
 # Longest step in frames, and the speed (cm per frame) below which a foot is at rest. A step ends with the foot at rest.
 LONGEST_STEP, STEP_REST = 32, 0.2
 FLOOR_FADE = 6.0  # cm above CONTACT_HEIGHTS over which a predicted contact fades out
-RATE = 60.0
 
 
 def lock_feet(motion: Motion, contacts: Array) -> Motion:
@@ -82,11 +82,6 @@ def _near_floor(positions: Array) -> Array:
     return np.clip(1.0 - (heights - np.array(CONTACT_HEIGHTS)) / FLOOR_FADE, 0.0, 1.0).astype(positions.dtype)
 
 
-def _frames(count: float, fps: float) -> int:
-    """The number of frames that last as long as count frames at 60 fps."""
-    return max(1, round(count * fps / RATE))
-
-
 def locked_spans(contacts: Array, fps: float = RATE) -> list[Span]:
     """Spans (start, end) of frames in contact, from probabilities (T, n) of the joints of a foot."""
     level = contacts.max(axis=-1).tolist()
@@ -95,7 +90,7 @@ def locked_spans(contacts: Array, fps: float = RATE) -> list[Span]:
         if start is None and value > LOCK.contact_on:
             start = t
         elif start is not None and value < LOCK.contact_off:
-            if t - start >= _frames(MIN_LOCK_FRAMES, fps):
+            if t - start >= frames_at(MIN_LOCK_FRAMES, fps):
                 spans.append((start, t))
             start = None
     return spans
@@ -115,7 +110,7 @@ def _still_spans(
     Returns:
         Spans in which the foot stands, and its steps.
     """
-    step, longest = _frames(LOCK.step_frames, fps), _frames(LONGEST_STEP, fps)
+    step, longest = frames_at(LOCK.step_frames, fps), frames_at(LONGEST_STEP, fps)
     rests = np.flatnonzero(np.append(length(np.diff(place, axis=0)) < STEP_REST * RATE / fps, True))
     out, steps = [], []
     for start, end in spans:
@@ -145,7 +140,7 @@ def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> t
         taken: steps of the other foot.
     """
     place, height = toe[:, [0, 2]].astype(np.float64), toe[:, 1:2].astype(np.float64)
-    ease, lift = _frames(LOCK.ease_frames, fps), _frames(LIFT_FRAMES, fps)
+    ease, lift = frames_at(LOCK.ease_frames, fps), frames_at(LIFT_FRAMES, fps)
     touching = locked_spans(contacts, fps)
     spans, steps = _still_spans(place, touching, fps, taken)
     holds = [lower_median(place[start:end]) - place[start:end] for start, end in spans]
@@ -154,7 +149,7 @@ def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> t
     spans = locked_spans(contacts[:, 1:], fps)
     standing = np.clip(height, TOE.standing - TOE.slack, TOE.standing + TOE.slack) - height
     upwards = _faded([standing[start:end] for start, end in spans], spans, (len(toe), 1), ease)
-    upwards += _raised_steps(place + over_ground, steps, _frames(LOCK.step_frames, fps))
+    upwards += _raised_steps(place + over_ground, steps, frames_at(LOCK.step_frames, fps))
     strides = length(np.diff(place, axis=0, prepend=2.0 * place[:1] - place[1:2]))[:, None]
     missing = np.maximum(lowest_free(strides * (fps / RATE)) - height - upwards, 0.0)
     upwards += peak_smoothed(missing[:, 0], missing, lift)
@@ -214,4 +209,4 @@ def _hip_drop(motion: Motion, positions: Array, shifts: Array) -> Array:
         missing = np.maximum(distance - np.maximum(LOCK.max_reach * whole, length(ankle - hip)), 0.0)
         move = reach / np.maximum(distance, 1e-6)[:, None] * missing[:, None]
         need = np.where((missing > length(need))[:, None], move, need)
-    return peak_smoothed(length(need), need, _frames(LOCK.ease_frames, motion.fps))
+    return peak_smoothed(length(need), need, frames_at(LOCK.ease_frames, motion.fps))

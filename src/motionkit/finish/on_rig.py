@@ -36,13 +36,14 @@ def on_rig(
     Raises:
         SkeletonError: clip has other joints than the rig.
     """
-    if drawn is None:
-        contacts = foot_contacts(canonical_places(motion), motion.fps)
-        drawn = Unfinished(motion, contacts, Finish(drawn=False))
-    source = drawn.motion if ik else motion
-    body = on_body(source, rig)
-    body = _finished(body, rig, drawn) if ik else body
-    made = from_body(body, rig, None if clip is None else resample(clip, source.fps))
+    if not ik:
+        body = on_body(motion, rig)
+    else:
+        if drawn is None:
+            contacts = foot_contacts(canonical_places(motion), motion.fps)
+            drawn = Unfinished(motion, contacts, Finish(drawn=False))
+        body = _finished(on_body(drawn.motion, rig), rig, drawn)
+    made = from_body(body, rig, None if clip is None else resample(clip, body.fps))
     return resample(made, motion.fps)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from motionkit.arrays import Array, peak_smoothed, smoothed, smoothstep, spans
 from motionkit.metrics.flight import FIT_FRAMES, FREE_FALL, centre_of_mass, flights, vertical_acceleration
 from motionkit.metrics.touch import FALLING, TOUCH_HEIGHTS, touching
+from motionkit.motion.frame_rate import frames_at
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
@@ -55,7 +56,7 @@ def above_ground(motion: Motion) -> Motion:
     """
     positions = motion_kinematics(motion)[1]
     missing = np.maximum(-positions[:, ABOVE, 1].min(axis=1), 0.0)
-    frames = max(1, round(HEIGHT.rise_frames * motion.fps / 60.0))
+    frames = frames_at(HEIGHT.rise_frames, motion.fps)
     return _raised(motion, peak_smoothed(missing, missing[:, None], frames)[:, 0])
 
 

@@ -9,6 +9,14 @@ NTSC_WITHIN = 1.5e-4
 NTSC = 1000.0 / 1001.0
 
 
+RATE = 60.0  # frames a second of settings that count frames
+
+
+def frames_at(count: float, fps: float) -> int:
+    """The number of frames that last as long as `count` frames at 60 fps, at least 1."""
+    return max(1, round(count * fps / RATE))
+
+
 def nominal_rate(rate: float) -> float:
     """The exact rate for a measured one: an NTSC rate, a whole number, or the measured rate itself.
 

@@ -82,7 +82,7 @@ def motion_unit(motion: Motion) -> tuple[float, str]:
         return 1.0, "centimetres"
     if leg > 0.0:
         return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG))
-    if stature(motion) <= METRES_UP_TO:
+    if _chain_stature(motion) <= METRES_UP_TO:
         return 100.0, "no human rig; taken as metres"
     return 1.0, "no human rig; taken as centimetres"
 
@@ -106,8 +106,12 @@ def rig_leg(skeleton: Skeleton) -> float:
 
 def stature(motion: Motion) -> float:
     """The standing height of a body in its unit, by its legs, or by its longest chain of joints if not human."""
-    if leg := rig_leg(motion.skeleton):
-        return leg / LEG_TO_STATURE
+    leg = rig_leg(motion.skeleton)
+    return leg / LEG_TO_STATURE if leg else _chain_stature(motion)
+
+
+def _chain_stature(motion: Motion) -> float:
+    """The standing height of a body by its longest chain of joints, in the middle frame."""
     parents = motion.skeleton.parents
     middle = motion_kinematics(motion.cut(len(motion) // 2, len(motion) // 2 + 1))[1][0].astype(np.float64)
     reach = np.zeros(len(parents))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.arrays import spans
 from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write
 from motionkit.motion.motion import Motion
@@ -396,8 +397,7 @@ def _draw_band(canvas: _Canvas, figure: Figure, foot: int, color: Color, x_of: A
     slides = sliding_frames(figure, foot)
     low = low_frames(figure, foot)
     for mask, shade in ((low, _lighter(color, 0.7)), (slides, SLIDE_COLOR)):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-        for start, end in edges.reshape(-1, 2):
+        for start, end in spans(mask):
             left, right = x_of(float(start)), x_of(float(end - 1))
             canvas.box(_Box(left, y, max(right - left, 1.0), 7), fill=shade)
     share = 100.0 * slides.sum() / max(int(low.sum()), 1)
