@@ -278,6 +278,6 @@ def training_losses(
 
 
 def total_loss(terms: dict[str, Tensor], weights: dict[str, float] | None = None) -> Tensor:
-    """Return the weighted sum of the losses (paper eq. 4); a loss without a named weight has weight 1."""
+    """Return the weighted sum of the losses (...) (paper eq. 4); a loss without a named weight has weight 1."""
     weights = WEIGHTS if weights is None else weights
-    return torch.stack([weights.get(name, 1.0) * value for name, value in terms.items()]).sum()
+    return torch.stack([weights.get(name, 1.0) * value for name, value in terms.items()]).sum(0)

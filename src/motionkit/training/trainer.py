@@ -180,7 +180,7 @@ class TrainingRun:
         at, report, options = self.progress, self.report, self.progress.options.output
         clock = saved = scored = time.monotonic()
         while at.share < 1.0:
-            at.losses = self._train_step()
+            self._train_step()
             now = time.monotonic()
             at.seconds, clock = at.seconds + now - clock, now
             if at.options.minutes:
@@ -197,7 +197,7 @@ class TrainingRun:
             if self.stops or (self.processes.world == 1 and self.asked_to_stop):
                 return
 
-    def _train_step(self) -> dict[str, float]:
+    def _train_step(self) -> None:
         at, processes = self.progress, self.processes
         self.learner.trainable.train()
         if processes.world > 1:
@@ -207,10 +207,13 @@ class TrainingRun:
         batch = self.blocks.next(at.step, at.share)
         terms = self.learner.step(batch, self.blocks.options, at)
         at.step += 1
-        stop = terms["gradient"].new_tensor(float(self.asked_to_stop))  # shared, to stop at the same step
-        *means, stops = processes.mean(torch.stack([*terms.values(), stop]))
-        self.stops = stops > 0
-        return dict(zip(terms, means, strict=True))
+        # A GPU computes the next steps meanwhile: its numbers are only waited for where they are logged.
+        waits = processes.device.type == "cpu" or processes.world > 1
+        if waits or at.step % at.options.output.log_every == 0 or at.share >= 1.0:
+            stop = terms["gradient"].new_tensor(float(self.asked_to_stop))  # shared, to stop at the same step
+            *means, stops = processes.mean(torch.stack([*terms.values(), stop]))
+            self.stops = stops > 0
+            at.losses = dict(zip(terms, means, strict=True))
 
     def _save_checkpoint(self) -> None:
         self.checkpoint.save(self.learner, self.progress, self.blocks.unfinished)
