@@ -27,6 +27,7 @@ VARIANTS: list[dict] = [
     {"window": 12},
     {"head_leak": 0.0},
     {"head_momentum": False},
+    {"trajectory_skip": True},
     {"heads": 16, "width": 48},
 ]
 # Weights in 16 bits are whole numbers up to 32767 times a scale.

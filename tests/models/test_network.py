@@ -4,11 +4,12 @@ import pytest
 import torch
 
 from motionkit.errors import ModelError
+from motionkit.features.control import CONTROL_KINDS, ControlLayout
 from motionkit.features.layout import feature_layout
 from motionkit.models.config import ModelConfig
 from motionkit.models.consistency import ConsistencyModules, feature_difference, safe_norm, shared_data
 from motionkit.models.layers import sinusoidal_positions, spatial_dropout
-from motionkit.models.network import parameter_count, part_columns
+from motionkit.models.network import PartTransformer, parameter_count, part_columns
 from motionkit.models.parts import PARTITIONS, partition
 from motionkit.models.presets import PRESETS, preset
 from motionkit.motion.skeleton import JOINT_NAMES
@@ -200,6 +201,24 @@ def test_leaky_head_adds_a_share_of_the_input(make_network, make_inputs) -> None
     with torch.no_grad():
         difference = leaky(*inputs).mean - absolute(*inputs).mean
     assert torch.allclose(difference, leaky.config.head.head_leak * inputs[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", CONTROL_KINDS)
+@pytest.mark.parametrize("given", [True, False])
+def test_the_trajectory_skip_adds_the_trajectory_that_is_given(kind: str, given: bool) -> None:
+    layout = ControlLayout(("walking", "running", "idle"), kind)
+    torch.manual_seed(0)
+    skips = PartTransformer(preset("tiny", controls=kind, trajectory_skip=True), layout.size).eval()
+    plain = PartTransformer(preset("tiny", controls=kind), layout.size).eval()
+    plain.load_state_dict(skips.state_dict())
+    x, contacts, controls = torch.randn(1, 8, 276), torch.zeros(1, 8, 4), torch.randn(1, 8, layout.size)
+    if not given:  # as control_vector shows it
+        controls[..., layout.trajectory] = 0.0
+    with torch.no_grad():
+        made, other = skips(x, contacts, controls), plain(x, contacts, controls)
+    torch.testing.assert_close(made.trajectory_mean - other.trajectory_mean, controls[..., layout.trajectory])
+    assert torch.equal(made.mean, other.mean)
+    assert torch.equal(made.trajectory_log_sigma, other.trajectory_log_sigma)
 
 
 def test_momentum_adds_a_share_of_the_last_step(make_network, make_inputs) -> None:

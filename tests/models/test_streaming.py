@@ -40,6 +40,7 @@ def test_streaming_equals_the_batch_forward(make_network, make_inputs, name: str
         {"window": 4},
         {"window": 12},
         {"head_leak": 0.0},
+        {"trajectory_skip": True},
     ],
 )
 def test_streaming_equals_the_batch_forward_for_variants(make_network, make_inputs, change: dict) -> None:
@@ -76,6 +77,7 @@ def test_sinusoidal_streaming_is_the_forward_over_the_last_receptive_field(make_
         {"window": 4},
         {"kernel": 1},
         {"head_momentum": True},
+        {"trajectory_skip": True},
     ],
 )
 @pytest.mark.parametrize("frames", [1, 2, 30])

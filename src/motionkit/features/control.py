@@ -151,6 +151,13 @@ class ControlLayout:
         """The column that is 1 with a reference, else 0."""
         return self.reference.stop
 
+    @classmethod
+    def trajectory_columns(cls, kind: str, size: int) -> slice:
+        """The columns of the trajectory in control vectors of a kind and length, whatever their number of types."""
+        without = cls((), kind)
+        beyond = without.size - without.trajectory.stop
+        return slice(size - beyond - TRAJECTORY_COUNT, size - beyond)
+
     @property
     def size(self) -> int:
         """Length of a control vector."""

@@ -106,6 +106,9 @@ class Head:
 
     head_leak: float = 0.8  # mean = head_leak x input pose + output; 0 is the paper's absolute head
     head_momentum: bool = False  # whether the mean adds a learned share, per column, of the last velocity
+    trajectory_skip: bool = (
+        False  # trajectory mean = the trajectory in the controls, if there is one, + output
+    )
     log_sigma_min: float = -5.0  # in normalised units (paper: sigma > 1e-4)
     log_sigma_max: float = 2.0
     contact_hidden: int = 64  # hidden channels of the Foot-MLP

@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from motionkit.features.control import TRAJECTORY_COUNT
+from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.attention import LocalAttention
 from motionkit.models.backbones import LstmLayers, LstmState
@@ -65,6 +65,7 @@ class PartTransformer(Predictor):
         self.cross = LocalAttention(P, D, config.heads, config.window, bias=False) if crosses else None
         self.aggregate = nn.Linear(P * D, 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT)
         self.momentum = nn.Parameter(torch.full((FEATURE_COUNT,), 0.8)) if config.head.head_momentum else None
+        self.given_trajectory = ControlLayout.trajectory_columns(config.controls, control_size)
         self.feet = foot_parts(config)
         self.contact_mlp = FeedForward(1, 2 * D * len(self.feet), config.head.contact_hidden, CONTACT_COUNT)
         self._initialise()
@@ -108,7 +109,7 @@ class PartTransformer(Predictor):
         fused = F.dropout(self.fuse(shallow), self.config.dropout.deep_dropout, self.training)
         deep = self.deep(fused, controls_BTC)
         before = torch.cat([x_BTF[:, :1], x_BTF[:, :-1]], dim=1)
-        return self.predict(x_BTF, before, shallow, deep)
+        return self.predict(x_BTF, before, controls_BTC, shallow, deep)
 
     def predict_last(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> Prediction:
         """Predict only the frame after the last one: forward() without frames that this prediction does not see."""
@@ -118,8 +119,8 @@ class PartTransformer(Predictor):
         shallow = self.shallow(self.split_parts(x_BTF, contacts_BT4), controls_BTC, kept=sight)
         first = x_BTF.shape[1] - shallow.shape[2]
         deep = self.deep(self.fuse(shallow), controls_BTC[:, first:], first, kept=1)
-        rows = [t[..., -1, :] for t in (x_BTF, x_BTF[:, :-1] if x_BTF.shape[1] > 1 else x_BTF, shallow, deep)]
-        return self.predict(*rows)
+        before = x_BTF[:, :-1] if x_BTF.shape[1] > 1 else x_BTF
+        return self.predict(*(t[..., -1, :] for t in (x_BTF, before, controls_BTC, shallow, deep)))
 
     def fuse(self, shallow: Tensor) -> Tensor:
         """Add to shallow features (P, ..., D) a linear map of the other parts' features (paper eq. 3).
@@ -135,8 +136,13 @@ class PartTransformer(Predictor):
         others = torch.stack([torch.cat([shallow[q] for q in range(P) if q != p], -1) for p in range(P)])
         return shallow + self.fusion(others)
 
-    def predict(self, x: Tensor, before: Tensor, shallow: Tensor, deep: Tensor) -> Prediction:
-        """Apply aggregation layer and Foot-MLP to features of frames x (..., 276); before holds the previous frames."""
+    def predict(
+        self, x: Tensor, before: Tensor, controls: Tensor, shallow: Tensor, deep: Tensor
+    ) -> Prediction:
+        """Apply aggregation layer and Foot-MLP to features of frames x (..., 276) with their controls (..., C).
+
+        before holds the previous frames.
+        """
         body = torch.cat(list(deep), dim=-1)
         out = self.aggregate(body).float()
         sizes = [FEATURE_COUNT, FEATURE_COUNT, TRAJECTORY_COUNT, TRAJECTORY_COUNT]
@@ -145,6 +151,8 @@ class PartTransformer(Predictor):
             mean = mean + self.config.head.head_leak * x.float()
         if self.momentum is not None:
             mean = mean + self.momentum * (x - before).float()
+        if self.config.head.trajectory_skip:  # zeros where no trajectory is given
+            trajectory = trajectory + controls[..., self.given_trajectory].float()
         feet = torch.cat([torch.cat([shallow[i], deep[i]], dim=-1) for i in self.feet], dim=-1)
         contact_logits = self.contact_mlp(feet[None])[0].float()
         low, high = self.config.head.log_sigma_min, self.config.head.log_sigma_max
@@ -222,7 +230,7 @@ class NetworkStream:
         deep = self._module(1, network.fuse(shallow), controls_BC)
         before = x_BF if self.frame == 0 else self.before
         self.frame, self.before = self.frame + 1, x_BF
-        return network.predict(x_BF, before, shallow, deep)
+        return network.predict(x_BF, before, controls_BC, shallow, deep)
 
     def _module(self, index: int, x: Tensor, controls: Tensor) -> Tensor:
         """Features (P, B, D) of the shallow (0) or the deep module (1) for one frame."""

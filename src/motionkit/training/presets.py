@@ -88,7 +88,8 @@ def train_options(
             raise ModelError(f"budgets are for presets that train as the paper does, not for {name}")
         size = BUDGETS[budget]
         steps = size.steps if steps is None and minutes is None else steps
-        wanted = {"batch": size.batch, "window": size.window, "rate": size.rate} | wanted
+        sizes = {"batch": size.batch, "window": size.window, "rate": size.rate}
+        wanted = sizes | dict(size.options) | wanted
         if isinstance(preset(name), ModelConfig):
             wanted["config"] = {**size.config, **wanted.get("config", {})}
     recipe = PAPER if as_in_paper else {"stages": STAGES}

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.data.dataset import Dataset
+from motionkit.data.dataset import ClipData, Dataset
 from motionkit.errors import MotionkitError
 from motionkit.features.control import Controls, blend_types, future_trajectory, types_ahead
 from motionkit.lab.held_out import Continue, HeldOut, compared, continued, decoded
@@ -44,9 +44,18 @@ UPPER = tuple(j for j in range(23) if j not in LOWER or j == 0)
 
 def sequence_controls(dataset: Dataset, sequence: HeldOut, model: MotionModel) -> Controls:
     """Return the control signals (T, ...) of a test sequence: its own types and trajectory."""
-    data = sequence.data
     places = np.array([model.type_id(name) for name in dataset.types])
-    weights = blend_types(places[data.types], len(model.types))
+    return recorded_controls(sequence.data, places, len(model.types))
+
+
+def recorded_controls(data: ClipData, places: Array, count: int | None = None) -> Controls:
+    """Return the control signals (T, ...) of a recording: its own types and trajectory.
+
+    Args:
+        places: for each type id of the recording that of the network.
+        count: the network's number of types, by default that of the recording's.
+    """
+    weights = blend_types(places[data.types], len(places) if count is None else count)
     trajectory = future_trajectory(data.ground, np.arange(len(data.types)))
     asked = Controls.of_types(weights).with_mask(1.0)
     return Controls(**vars(asked) | {"trajectory": trajectory, "types_ahead": types_ahead(weights)})

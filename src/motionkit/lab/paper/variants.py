@@ -58,7 +58,8 @@ _NO_SIGMA = {"log_sigma_min": -9.2, "log_sigma_max": -9.2}  # drawn frames are t
 VARIANTS: tuple[Variant, ...] = (
     Variant("TPTN", "tptn", "the paper's network", paper_parameters=3.59, seeds=3),
     Variant("absolute head", "tptn", "TPTN with the paper's head and dropout, where a budget changes them",
-            config={"head_leak": 0.0, "input_dropout": 0.5, "deep_dropout": 0.5}, paper_parameters=3.59,
+            config={"head_leak": 0.0, "head_momentum": False, "input_dropout": 0.5, "deep_dropout": 0.5},
+            paper_parameters=3.59,
             budgets=("short", "medium", "long")),
     Variant(
         "EBTN", "parts", "one stream for the whole body",
