@@ -17,6 +17,7 @@ import lzma
 import os
 import shutil
 import time
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -118,12 +119,19 @@ def times(job: Path, arguments: argparse.Namespace) -> None:
         rows.append([f"bundled recipe, 32 x 96: {name}", f"{_seconds(work, device, 4) / 16 * 1e3:.2f}"])
         print(rows[-1], flush=True)
     run.blocks.close()
-    for batch in arguments.batches:
-        for names in (("TPTN",), arguments.names):
+    sets = [[name] for name in arguments.names] if len(arguments.names) > 1 else []
+    works = [(names, arguments.batches[0]) for names in sets]
+    for names, batch in works + [(arguments.names, batch) for batch in arguments.batches]:
+        try:
             seconds = _together(job, arguments, names, batch, arguments.steps)[0]
-            what = f"{len(names)} networks x {arguments.seeds} seeds, {batch} windows each"
-            rows.append([what, f"{seconds / arguments.steps * 1e3:.2f}"])
-            print(rows[-1], flush=True)
+        except RuntimeError as error:
+            traceback.print_exc(limit=-4)
+            print(f"{', '.join(names)}: {error}", flush=True)
+            continue
+        what = ", ".join(names) if len(names) == 1 else f"{len(names)} networks"
+        what = f"{what}, {arguments.seeds} seeds, {batch} windows each"
+        rows.append([what, f"{seconds / arguments.steps * 1e3:.2f}"])
+        print(rows[-1], flush=True)
     print_table(f"ms per step, {_machine(device)}", ["what", "ms"], rows)
 
 

@@ -143,7 +143,7 @@ class Learner:
         norm = torch.linalg.vector_norm(flat, dim=1, keepdim=True)
         flat = torch.where(norm.isfinite(), flat * (self.clip_norm / (norm + 1e-6)).clamp(max=1.0), 0.0)
         for p, part in zip(moved, flat.split([p.numel() // self.seeds for p in moved], dim=1), strict=True):
-            p.grad = part.view(p.shape)
+            p.grad = part.contiguous().view(p.shape)  # fused optimizers read no strides
         for each in self.optimizers:
             set_rate(each, rate)
             each.step()
