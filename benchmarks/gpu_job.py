@@ -119,7 +119,7 @@ def times(job: Path, arguments: argparse.Namespace) -> None:
         rows.append([f"bundled recipe, 32 x 96: {name}", f"{_seconds(work, device, 4) / 16 * 1e3:.2f}"])
         print(rows[-1], flush=True)
     run.blocks.close()
-    sets = [[name] for name in arguments.names] if len(arguments.names) > 1 else []
+    sets = [[name] for name in arguments.alone]
     works = [(names, arguments.batches[0]) for names in sets]
     for names, batch in works + [(arguments.names, batch) for batch in arguments.batches]:
         try:
@@ -200,7 +200,8 @@ def main() -> None:
     timing.add_argument("--seeds", type=int, default=5)
     timing.add_argument("--steps", type=int, default=40)
     timing.add_argument("--batches", type=int, nargs="+", default=[4, 16])
-    timing.add_argument("--names", nargs="+", default=["TPTN", "EBTN"])
+    timing.add_argument("--names", nargs="+", default=["TPTN", "EBTN"], help="networks to time side by side")
+    timing.add_argument("--alone", nargs="+", default=["TPTN"], help="networks to time alone")
     arguments = parser.parse_args()
     if arguments.command == "pack":
         pack(arguments.paper, arguments.output / "paper")

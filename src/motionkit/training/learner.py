@@ -155,7 +155,7 @@ class Learner:
 
 
 class StackedLearner(Learner):
-    """Networks of several seeds that are trained as one: the weights, batches and losses have a first dimension of seeds.
+    """Networks of several seeds that are trained as one: weights, batches and losses have a first dimension of seeds.
 
     A step of small networks on a GPU costs what launching its kernels costs, and stacked networks share the kernels.
 

@@ -22,7 +22,7 @@ class Replayed:
     stay in the same memory, so it should set them to None at its beginning.
 
     Args:
-        state: returns the tensors that the function changes, such as weights. The calls before the capture do not count:
+        state: returns the tensors that the function changes, such as weights. Calls before the capture do not count:
             these tensors get their values back, and those that are made meanwhile become zero.
     """
 
