@@ -36,7 +36,7 @@ NEAR_COPY = {
     "deep_dropout": 0.0,
 }
 # The paper's AdamW learns a third as fast at 3e-4, and at 1e-3 collapses without warm-up.
-MUON = {"method": "muon", "warmup": 100}
+MUON = {"method": "muon", "warmup": 50}
 WINDOW = 160  # frames: positions up to the longest memory in the comparison (135) are trained
 
 BUDGETS = {

@@ -14,7 +14,7 @@ from motionkit.training.budgets import BUDGETS
 if TYPE_CHECKING:
     from motionkit.lab.paper.runs import Plan
 
-SETS = ["D_L", "all", "no-dances", "locomotion"]
+SETS = ["D_L", "all", "all-mirrored", "no-dances", "locomotion"]
 RESULTS = Path("experiments/results")
 # Folders for results of single models, beside the results folder.
 SCENES, LONG, BODIES = (RESULTS.parent / name for name in ("scenes", "long", "bodies"))

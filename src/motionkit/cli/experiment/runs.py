@@ -26,6 +26,7 @@ from motionkit.cli.experiment.options import (
     results_option,
     set_option,
 )
+from motionkit.errors import MotionkitError
 from motionkit.names import counted
 
 
@@ -161,4 +162,23 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
         stdout_console().print(f"wrote {file}")
 
 
-COMMANDS = (list_command, run_command, shipped_command)
+@click.command("measure")
+@data_option
+@results_option
+def measure_command(data: Path, results: Path) -> None:
+    """Measure finished runs anew, in the roll-outs that are kept beside their results. Nothing is trained.
+
+    Every metric is written into the results again, so a new one comes into those of before.
+    """
+    needs_torch()
+    from motionkit.lab.paper.runs import measure_again
+
+    count = 0
+    for path in measure_again(data, results):
+        stdout_console().print(f"measured {path}")
+        count += 1
+    if not count:
+        raise MotionkitError(f"{results}: no roll-outs; motionkit experiment run keeps them beside results")
+
+
+COMMANDS = (list_command, run_command, shipped_command, measure_command)

@@ -35,7 +35,7 @@ class Selection:
 
 
 def select(folder: Path, name: str) -> Dataset:
-    """Open a dataset folder with the clips of a data set only, the training clips without mirror images.
+    """Open a dataset folder with the clips of a data set only; all but "all-mirrored" train without mirror images.
 
     Raises:
         DatasetError: if the data set is unknown, or has no training or test clips here.
@@ -125,6 +125,18 @@ def _all(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
     return train, _with_mirrors(dataset, train, _long(_plain(dataset, "test")), set(dataset.types))
 
 
+def _all_mirrored(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
+    """As _all, and the mirror images of training clips but those that are tested on, or whose original is."""
+    train, test = _all(dataset)
+    tested = {(clip.start, clip.frames) for clip in test}
+    images = [
+        replace(clip, name=f"{clip.name} (mirrored)", mirrored=True)
+        for clip in train
+        if (clip.start, clip.frames) not in tested
+    ]
+    return [*train, *images], test
+
+
 def is_dance(kind: str) -> bool:
     """Return whether a dataset labels motion of this type as a dance: dance-salsa, Tango dancing, breakdance."""
     return "danc" in kind.lower()
@@ -153,6 +165,11 @@ SELECTIONS = {
     for each in (
         Selection("D_L", "39 training sequences of 13 types, and test sequences of all of them", _d_l),
         Selection("all", "all training and test sequences", _all),
+        Selection(
+            "all-mirrored",
+            "all training sequences and their mirror images, and all test sequences",
+            _all_mirrored,
+        ),
         Selection("no-dances", "all sequences without dances", _no_dances),
         Selection(
             "locomotion",

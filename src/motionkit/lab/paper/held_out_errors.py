@@ -21,7 +21,7 @@ from motionkit.inference.start import INIT_FRAMES
 from motionkit.lab.held_out import INITIAL, HeldOut, decoded, held_out
 from motionkit.lab.paper.batched_rollouts import Recorded, recorded, roll_out
 from motionkit.lab.statistics import rounded
-from motionkit.metrics.body_movement import body_movement
+from motionkit.metrics.body_movement import euler_movement
 from motionkit.models.network import PartTransformer
 from motionkit.models.predictor import Drawn, Predictor
 from motionkit.motion.kinematics import forward_kinematics
@@ -119,11 +119,16 @@ def _teacher_forced(network: Predictor, dataset: Dataset, device: torch.device) 
         | ({"trajectory": _root(paths[way], count)} if has_path or way != "error" else {})
         for way, each in squares.items()
     }
-    return {"frames": count, **{name: rounded(total / count, 6) for name, total in totals.items()}, **errors}
+    return {"frames": count, **{name: _number(total / count) for name, total in totals.items()}, **errors}
 
 
-def _root(total: float, count: int) -> float:
-    return rounded((total / count) ** 0.5, 5)
+def _root(total: float, count: int) -> float | None:
+    return _number((total / count) ** 0.5)
+
+
+def _number(value: float) -> float | None:
+    """A rounded value; None where a network predicts numbers that are not finite."""
+    return rounded(value, 5) if np.isfinite(value) else None
 
 
 def _blocks(layout: FeatureLayout) -> dict[str, list[int]]:
@@ -229,37 +234,36 @@ def _open_loop(
 ) -> dict[str, Any]:
     starts = open_loop_starts(dataset)
     if not starts:
-        return {"starts": 0}
-    draws = [None] * len(starts) + [seed * 1009 + number for number in range(len(starts))]
+        return {"starts": 0, "open-loop": {"mean": {}, "sample": {}}, "bm": {}}
+    draws: list[int | None] = [None] * len(starts)
+    draws += [seed * 1009 + number for number in range(len(starts))]
     made = roll_out(network, dataset, [*starts, *starts], draws, device, labelled)
     ways = {"mean": made[: len(starts)], "sample": made[len(starts) :]}
     truth = [each.data.features[each.initial : each.initial + each.frames] for each in starts]
     distances = {way: _distances(dataset, starts, frames, truth) for way, frames in ways.items()}
     moved = {
-        way: rounded(
-            float(np.mean([_movement(dataset, *pair) for pair in zip(starts, frames, strict=True)])), 5
-        )
+        way: _number(float(np.mean([_movement(dataset, *pair) for pair in zip(starts, frames, strict=True)])))
         for way, frames in {**ways, "recorded": truth}.items()
     }
     return {"starts": len(starts), "open-loop": distances, "bm": moved}
 
 
 def _movement(dataset: Dataset, start: HeldOut, features: Floats) -> float:
-    return body_movement(decoded(dataset, start, features).local_rotations, "euler").value
+    return float(euler_movement(decoded(dataset, start, features).local_rotations).sum(-1).mean())
 
 
 def _distances(
     dataset: Dataset, starts: Sequence[HeldOut], made: Sequence[Floats], truth: Sequence[Floats]
-) -> dict[str, float]:
+) -> dict[str, float | None]:
     """Mean distances in cm after each horizon: of the joints, with the root at its place, and of the root."""
     (poses, grounds), (true_poses, true_grounds) = (_places(dataset, starts, each) for each in (made, truth))
-    out = {}
+    out: dict[str, float | None] = {}
     for name, frame in HORIZONS.items():
         apart = np.linalg.norm(poses[:, frame - 1] - true_poses[:, frame - 1], axis=-1)
         way = np.linalg.norm(grounds[:, frame - 1] - true_grounds[:, frame - 1], axis=-1)
         out |= {
-            f"mpjpe-{name}": rounded(float(apart.mean()), 5),
-            f"root-{name}": rounded(float(way.mean()), 5),
+            f"mpjpe-{name}": _number(float(apart.mean())),
+            f"root-{name}": _number(float(way.mean())),
         }
     return out
 

@@ -40,6 +40,16 @@ OF_NETWORKS: Shape = {
     "derivatives": {...: float},
     "timing": {"seconds": float, "machine": str},
 }
+ERRORS: Shape = {...: NUMBER_OR_NULL}
+HELD_OUT: Shape = {
+    "frames": int,
+    "error": ERRORS,
+    "copy": ERRORS,
+    "extrapolation": ERRORS,
+    "starts": int,
+    "open-loop": {"mean": ERRORS, "sample": ERRORS},
+    "bm": ERRORS,
+}
 MADE: Shape = {"training": str, "test": str, "version": str}
 WORDS = {dict: "an object", list: "a list", str: "a text", int: "a whole number", float: "a number"}
 
@@ -71,11 +81,13 @@ def check_result(result: Any) -> None:
             _check(result, OF_NETWORKS, "")
             if result["derivatives"]:  # of networks that predict a trajectory
                 _check(result["derivatives"], {"trajectory": float, "features": float}, "derivatives")
-    if "made" in result:
-        _check(result["made"], MADE, "made")
+    for field, shape in (("made", MADE), ("held-out", HELD_OUT), ("by-mean", {"all": MEANS})):
+        if field in result:  # results of before have none
+            _check(result[field], shape, field)
     for part, values in result["groups"].items():
         _check(values, MEANS, f"groups.{part}")
-    pairs = [*result["groups"].values(), *(row["values"] for row in result["sequences"])]
+    groups = [*result["groups"].values(), *result.get("by-mean", {}).values()]
+    pairs = [*groups, *(row["values"] for row in result["sequences"])]
     if any(len(pair) != 2 for values in pairs for pair in values.values()):
         raise MotionkitError("a metric without its two values, made and recorded")
     if any(len(point) != 2 for point in result.get("curve", [])):

@@ -6,6 +6,7 @@ Paper section 5.3. No foot IK, no reference poses, no corrections: frames are wh
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from motionkit.arrays import Array
 from motionkit.data.dataset import ClipData, Dataset
 from motionkit.errors import MotionkitError
 from motionkit.features.control import Controls, blend_types, future_trajectory, types_ahead
-from motionkit.lab.held_out import Continue, HeldOut, compared, continued, decoded
+from motionkit.lab.held_out import Continue, HeldOut, compared, decoded
 from motionkit.lab.paper.datasets import is_dance
 from motionkit.lab.statistics import rounded, weighted_mean
 from motionkit.metrics.body_movement import body_movement
@@ -61,16 +62,6 @@ def recorded_controls(data: ClipData, places: Array, count: int | None = None) -
     return Controls(**vars(asked) | {"trajectory": trajectory, "types_ahead": types_ahead(weights)})
 
 
-def model_continues(model: MotionModel, dataset: Dataset, seed: int) -> Continue:
-    """Return what a model makes of a test sequence, drawn as the paper draws, on the performer's own body."""
-
-    def continues(sequence: HeldOut, number: int) -> Array:
-        asked, body = sequence_controls(dataset, sequence, model), dataset.skeleton(sequence.clip)
-        return continued(model, sequence, body, asked, sequence.frames, seed * 1009 + number)
-
-    return continues
-
-
 def truth_of(dataset: Dataset, sequence: HeldOut) -> Motion:
     """Return the recorded motion of the frames to make."""
     first = sequence.initial
@@ -79,7 +70,7 @@ def truth_of(dataset: Dataset, sequence: HeldOut) -> Motion:
 
 def measure(
     dataset: Dataset, continues: Continue, sequences: list[HeldOut], progress: Callable[[float], None]
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Measure what continues the test sequences.
 
     Returns:

@@ -75,5 +75,11 @@ BODY_MOVEMENT = {"recorded": (64.692, 43.645), "TPTN": (59.084, 38.165), "w/o-CL
 
 def paper_row(selection: str, name: str) -> Row | None:
     """Return the paper's figures for a variant on a data set; None where it has none."""
-    table = {"D_L": D_L, "all": ALL_TESTS, "no-dances": NON_DANCE, "locomotion": PFNN_DATA}.get(selection, {})
+    table = {
+        "D_L": D_L,
+        "all": ALL_TESTS,
+        "all-mirrored": ALL_TESTS,
+        "no-dances": NON_DANCE,
+        "locomotion": PFNN_DATA,
+    }.get(selection, {})
     return table.get(name)

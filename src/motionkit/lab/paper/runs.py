@@ -20,17 +20,20 @@ from motionkit.errors import MotionkitError
 from motionkit.files import read_json, write_json
 from motionkit.lab.floors import FLOORS
 from motionkit.lab.held_out import held_out
+from motionkit.lab.paper.batched_rollouts import roll_out
 from motionkit.lab.paper.datasets import select
 from motionkit.lab.paper.derivatives import control_derivatives
+from motionkit.lab.paper.held_out_errors import held_out_errors
+from motionkit.lab.paper.kept_rollouts import WAYS, keep_rollouts, read_rollouts, rollouts_file
 from motionkit.lab.paper.model_results import check_result, made_from
-from motionkit.lab.paper.protocol import LONGEST, measure, model_continues
+from motionkit.lab.paper.protocol import LONGEST, measure
 from motionkit.lab.paper.side_by_side import side_by_side
 from motionkit.lab.paper.variants import VARIANTS, Variant, chosen, parameters, variant
 from motionkit.lab.statistics import rounded
 from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
-from motionkit.models.model import MotionModel
 from motionkit.models.network import parameter_count
+from motionkit.models.predictor import Predictor
 from motionkit.training.options import TrainOptions
 from motionkit.training.presets import train_options
 from motionkit.training.report import TrainEvent
@@ -110,12 +113,8 @@ def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -
             "--results, or delete it"
         )
     found = result.get("made", made)
-    other = [part for part in ("training", "test") if made and found and found[part] != made[part]]
-    if other:
-        raise MotionkitError(
-            f"{file}: made from other {' and '.join(other)} clips than those of {plan.data} ({plan.selection}); choose "
-            "another --results, or delete it"
-        )
+    if made and found:
+        _check_clips(file, found, made, f"{plan.data} ({plan.selection})")
     return True
 
 
@@ -291,30 +290,100 @@ def _trained(
     if not done.finished:
         raise KeyboardInterrupt
     model = load_model(path)
+    network = network_class(model.config.architecture).from_weights(model.network)
+    network.to("cuda" if _on_gpu(plan.device) else "cpu")
     return {
-        "budget": {
-            "name": plan.budget,
-            "steps": done.steps,
-            "batch": options.optimizer.batch,
-            "window": options.sampler.window,
-            "rate": options.optimizer.rate,
-        },
-        "parameters": parameter_count(network_class(model.config.architecture).from_weights(model.network)),
+        "budget": budget_of(plan.budget, options, done.steps),
+        "parameters": parameter_count(network),
         "losses": _final(path.with_suffix(".run") / "log.jsonl"),
         "curve": _curve(path.with_suffix(".run") / "log.jsonl"),
-        **_tested(plan, dataset, model, seed),
+        **tested(plan, each, seed, dataset, network),
+        **measured(dataset, result_file(plan, each, seed), plan.longest),
         "timing": {"seconds": round(done.seconds, 1), "machine": machine(plan.device)},
     }
 
 
-def _tested(plan: Plan, dataset: Dataset, model: MotionModel, seed: int) -> dict[str, Any]:
-    sequences = held_out(dataset, plan.longest)
-    measured = measure(dataset, model_continues(model, dataset, seed), sequences, lambda share: None)
+def budget_of(name: str, options: TrainOptions, steps: int) -> dict[str, Any]:
+    """Return what a result says of the training of its run."""
+    optimizer = options.optimizer
+    return {
+        "name": name,
+        "steps": steps,
+        "batch": optimizer.batch,
+        "window": options.sampler.window,
+        "rate": optimizer.rate,
+        "method": optimizer.method,
+    }
+
+
+def tested(plan: Plan, each: Variant, seed: int, dataset: Dataset, network: Predictor) -> dict[str, Any]:
+    """Return the fields of a result that a trained network is needed for, and keep its roll-outs beside the result.
+
+    The network is on any device. All other fields come from the roll-outs, by measured.
+
+    Raises:
+        MotionkitError: the network predicts numbers that are not finite, or the file cannot be written.
+    """
+    network.eval()
+    device = next(network.parameters()).device
+    sequences, labelled = held_out(dataset, plan.longest), not each.learns_contacts
+    draws = [seed * 1009 + number for number in range(len(sequences))] + [None] * len(sequences)
+    made = roll_out(network, dataset, sequences * 2, draws, device, labelled)
+    ways = dict(zip(WAYS, (made[: len(sequences)], made[len(sequences) :]), strict=True))
+    keep_rollouts(rollouts_file(result_file(plan, each, seed)), dataset, ways)
     return {
         "longest": plan.longest,
-        **measured,
-        "derivatives": control_derivatives(model, dataset, sequences[0]),
+        "held-out": held_out_errors(network, dataset, device, seed, labelled),
+        "derivatives": control_derivatives(network, dataset, sequences[0]),
     }
+
+
+def measured(dataset: Dataset, file: Path, longest: int) -> dict[str, Any]:
+    """Return the fields of a result that are measured in its kept roll-outs.
+
+    Raises:
+        MotionkitError: the roll-outs are not there, or of other sequences.
+    """
+    sequences = held_out(dataset, longest)
+    made = read_rollouts(rollouts_file(file), dataset, sequences)
+
+    def of(way: str) -> dict[str, Any]:
+        return measure(dataset, lambda sequence, number: made[way][number], sequences, lambda share: None)
+
+    return {**of("sample"), "by-mean": of("mean")["groups"]}
+
+
+def measure_again(data: Path, results: Path) -> Generator[Path, None, None]:
+    """Measure all runs anew whose roll-outs are kept below a folder of results, and yield each result as it is written.
+
+    Raises:
+        MotionkitError: a result or its roll-outs are damaged, or were made from other clips.
+    """
+    datasets: dict[str, tuple[Dataset, dict[str, str]]] = {}
+    for kept in sorted(results.rglob("*.npz")):
+        file = kept.with_suffix(".json")
+        result = read_json(file, "the result of an experiment", MotionkitError)
+        if not isinstance(result, dict) or not {"data", "made", "longest"} <= set(result):
+            raise MotionkitError(f"{file}: not the result of an experiment; delete it and {kept.name}")
+        selection = str(result["data"])
+        if selection not in datasets:
+            dataset = select(data, selection)
+            datasets[selection] = dataset, made_from(dataset)
+        dataset, made = datasets[selection]
+        _check_clips(file, result["made"], made, f"{data} ({selection})")
+        result |= measured(dataset, file, result["longest"])
+        check_result(result)
+        write_json(file, result)
+        yield file
+
+
+def _check_clips(file: Path, found: dict[str, str], made: dict[str, str], where: str) -> None:
+    other = [part for part in ("training", "test") if found[part] != made[part]]
+    if other:
+        raise MotionkitError(
+            f"{file}: made from other {' and '.join(other)} clips than those of {where}; choose another --results, or "
+            "delete it"
+        )
 
 
 def _floor(plan: Plan, each: Variant, dataset: Dataset, progress: Callable[[float], None]) -> dict[str, Any]:
@@ -348,9 +417,11 @@ def _curve(path: Path) -> list[list[float]]:
 
 def machine(device: str) -> str:
     """Return the processor a run used, for people."""
-    if device.startswith("cuda") or (device == "auto" and torch.cuda.is_available()):
-        return torch.cuda.get_device_name()
-    return f"CPU, one thread ({platform.machine()})"
+    return torch.cuda.get_device_name() if _on_gpu(device) else f"CPU, one thread ({platform.machine()})"
+
+
+def _on_gpu(device: str) -> bool:
+    return device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:

@@ -40,6 +40,11 @@ class Variant:
     seeds: int = 1
     budgets: tuple[str, ...] = ()
 
+    @property
+    def learns_contacts(self) -> bool:
+        """Whether training has a contact loss; else contact outputs are random numbers, which are not fed back."""
+        return self.options.get("weights", {}).get("contact", 1.0) > 0.0
+
     def runs_at(self, budget: str) -> bool:
         """Whether there is something to run at a budget."""
         return not self.budgets or budget in self.budgets
