@@ -129,7 +129,7 @@ def test_the_log_says_how_the_run_compares_with_the_papers(run: tuple[MotionMode
 def test_a_budget_sets_steps_batch_window_and_rate() -> None:
     cpu = train_options("tptn-paper", budget="cpu", batch=None)
     assert (cpu.steps, cpu.optimizer.batch, cpu.sampler.window, cpu.optimizer.rate) == (1500, 8, 160, 1e-3)
-    assert (cpu.optimizer.method, cpu.optimizer.warmup, cpu.config) == ("muon", 50, {})
+    assert (cpu.optimizer.method, cpu.optimizer.warmup, cpu.config) == ("muon", 50, {"trajectory_skip": True})
     own = train_options("tptn-paper", steps=5, budget="cpu", window=40, method="adamw", warmup=0)
     assert (own.steps, own.optimizer.batch, own.sampler.window) == (5, 8, 40)
     assert (own.optimizer.method, own.optimizer.warmup) == ("adamw", 0)

@@ -51,3 +51,35 @@ def upper_tail(t: float, freedom: int) -> float:
 def weighted_mean(found: Sequence[tuple[float, float]]) -> float:
     """Return the weighted mean of (value, weight) pairs."""
     return sum(value * weight for value, weight in found) / sum(weight for _, weight in found)
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Differences of pairs: their mean and number, t, and the two-sided p that their mean is zero."""
+
+    mean: float
+    t: float
+    p: float
+    count: int
+
+
+def paired(differences: Sequence[float]) -> Paired:
+    """Return the paired t-test of at least two differences. Equal ones have an infinite t, or 0 where all are zero."""
+    found = figure(differences)
+    assert found is not None and found.seeds > 1, "one difference has no spread"
+    if found.spread == 0.0:
+        same = found.mean == 0.0
+        return Paired(
+            found.mean, 0.0 if same else math.copysign(math.inf, found.mean), float(same), found.seeds
+        )
+    t = found.mean / (found.spread / math.sqrt(found.seeds))
+    return Paired(found.mean, t, min(1.0, 2.0 * upper_tail(abs(t), found.seeds - 1)), found.seeds)
+
+
+def corrected(values: Sequence[float]) -> list[float]:
+    """Return p-values corrected for their number (Holm 1979), in the order given."""
+    out, largest = [0.0] * len(values), 0.0
+    for rank, place in enumerate(sorted(range(len(values)), key=lambda i: values[i])):
+        largest = max(largest, min(1.0, values[place] * (len(values) - rank)))
+        out[place] = largest
+    return out

@@ -1,92 +1,191 @@
-"""What the paper says of its network against each variant, and what the results here say of it."""
+"""What the paper says of its network against each variant, and what the results here say of it, paired by seed.
+
+The same seed sees the same windows and draws the same random numbers, so runs are compared seed by seed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
-from motionkit.lab.paper.published import paper_row
-from motionkit.lab.paper.tables import MAIN, Column, Figure, Results, figure_of, named, names_of
+from motionkit.lab.paper.tables import Results, named
+from motionkit.lab.statistics import Paired, corrected, paired
 from motionkit.tables import Table
 
-CLAIMS_HEADER = ("the paper's claim (section 5.5)", "metric", "paper", "here", "verdict")
-BLIND = 0.1  # gain on the frames fed in below which a prediction is nearly the same for all; the paper has about 1
+LEVEL = 0.05  # of the corrected p below which a difference counts
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number of a run: its title, how a result has it, digits after the point, and whether more of it is claimed."""
+
+    title: str
+    of: Callable[[dict[str, Any]], float | None]
+    digits: int
+    more: bool = False
+
+
+def _likelihood(result: dict[str, Any]) -> float | None:
+    return result.get("held-out", {}).get("nll")
+
+
+def _error(result: dict[str, Any]) -> float | None:
+    """The error by block of features as a share of that of repeating the last frame, the mean over blocks."""
+    held_out = result.get("held-out")
+    if held_out is None:
+        return None
+    return _mean([_share(value, held_out["copy"].get(block)) for block, value in held_out["error"].items()])
+
+
+def _open_loop(result: dict[str, Any]) -> float | None:
+    """The distance of joints in the roll-outs of a second, the mean over horizons."""
+    ways = result.get("held-out", {}).get("open-loop", {})
+    return _mean([value for name, value in ways.get("mean", {}).items() if name.startswith("mpjpe")])
+
+
+def _by_mean(metric: str) -> Callable[[dict[str, Any]], float | None]:
+    return lambda result: result.get("by-mean", {}).get("all", {}).get(metric, [None])[0]
+
+
+def _share(value: float | None, whole: float | None) -> float | None:
+    return None if value is None or not whole else value / whole
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known and len(known) == len(values) else None
+
+
+MEASURES = {
+    "likelihood": Measure("negative log-likelihood per frame", _likelihood, 1),
+    "error": Measure("error one frame ahead, as a share of copying's", _error, 3),
+    "open loop": Measure("joints in open loop, by mean (cm)", _open_loop, 2),
+    "movement": Measure("BM by mean (deg/frame)", _by_mean("bm-euler"), 1, more=True),
+    "sliding": Measure("AFS by mean (cm/frame)", _by_mean("afs"), 3),
+}
+BETTER = ("likelihood", "error", "open loop")
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim: TPTN is better than a variant by the column with this metric, or the variant moves less."""
+    """A claim, and the measures that decide it: TPTN has less of them than a variant, or more movement."""
 
     text: str
     rival: str
-    metric: str
-    less: bool = False
+    measures: tuple[str, ...] = BETTER
 
 
-# Each with the metric that the paper argues from.
 CLAIMS = (
-    Claim("two parts move more like the recordings than the whole body", "EBTN", "bm-euler"),
-    Claim("two parts move more like them than four that share the root", "FPTN-R", "bm-euler"),
-    Claim("two parts move more like them than four that share the spine", "FPTN-S", "bm-euler"),
-    Claim("two parts move more like them than five", "5PTN", "bm-euler"),
-    Claim("the fusion layer is needed", "w/o-FFL", "bm-euler"),
-    Claim("cross-attention fuses parts less well", "CrossAttn", "afs"),
-    Claim("without the consistency loss bodies move less", "w/o-CL", "bm-euler", less=True),
-    Claim("39 frames are too few", "TRL39", "afs"),
-    Claim("135 frames smooth too much", "TRL135", "bm-euler", less=True),
-    Claim("attention is better than non-local blocks", "TP-NLNN", "afs"),
-    Claim("attention is better than LSTMs", "TP-LSTM4LR", "bm-euler"),
-    Claim("the FK loss helps", "w/o-FK", "bm-euler"),
-    Claim("oversampling of rare types helps", "w/o-OS", "bm-euler"),
-    Claim("the convolutions help", "w/o-C", "bm-euler"),
-    Claim("L2 losses smooth too much", "L2 Loss", "bm-euler", less=True),
-    Claim("without the contact loss feet slide", "w/o-F", "afs"),
+    Claim("two parts are better than the whole body", "EBTN"),
+    Claim("two parts are better than four that share the root", "FPTN-R"),
+    Claim("two parts are better than four that share the spine", "FPTN-S"),
+    Claim("two parts are better than five", "5PTN"),
+    Claim("the fusion layer is needed", "w/o-FFL"),
+    Claim("cross-attention fuses parts less well", "CrossAttn"),
+    Claim("without the consistency loss bodies move less", "w/o-CL", ("movement",)),
+    Claim("39 frames are too few", "TRL39"),
+    Claim("135 frames smooth too much", "TRL135", ("movement",)),
+    Claim("attention is better than non-local blocks", "TP-NLNN"),
+    Claim("attention is better than LSTMs", "TP-LSTM4LR"),
+    Claim("the FK loss helps", "w/o-FK"),
+    Claim("oversampling of rare types helps", "w/o-OS"),
+    Claim("the convolutions help", "w/o-C"),
+    Claim("L2 losses smooth too much", "L2 Loss", ("movement",)),
+    Claim("without the contact loss feet slide", "w/o-F", ("sliding",)),
 )
+CLAIMS_HEADER = (
+    "the paper's claim (section 5.5)",
+    "variant",
+    "seeds",
+    *BETTER,
+    "BM or AFS by mean",
+    "verdict",
+)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A claim by one measure: how much better TPTN is than the variant, seed by seed, and the corrected p."""
+
+    claim: Claim
+    measure: str
+    found: Paired
+    p: float
+
+    @property
+    def verdict(self) -> str:
+        """Whether the results agree with the claim."""
+        if self.p >= LEVEL:
+            return "cannot be told"
+        return "agrees" if self.found.mean > 0.0 else "does not agree"
+
+    def cell(self) -> str:
+        """The variant's figure minus TPTN's, t, and the corrected p."""
+        measure, sign = MEASURES[self.measure], -1.0 if MEASURES[self.measure].more else 1.0
+        gap, t = sign * self.found.mean, sign * self.found.t
+        p = "p < 0.001" if self.p < 0.001 else f"p {self.p:.2g}"
+        text = f"{gap:+.{measure.digits}f}, t {t:.1f}, {p}"
+        return text if self.verdict == "cannot be told" else f"**{text}**"
+
+
+def judged(results: Results) -> list[Judged]:
+    """Return every claim by every measure that at least two seeds of both networks have.
+
+    p is that of a two-sided paired t-test over seeds, corrected by Holm over the variants with the same measure.
+    """
+    mine = {result["seed"]: result for result in named(results, "TPTN")}
+    out = []
+    for name, measure in MEASURES.items():
+        sign = -1.0 if measure.more else 1.0
+        pairs = []
+        for claim in (each for each in CLAIMS if name in {*BETTER, *each.measures}):
+            gaps = [
+                sign * (theirs - ours)
+                for result in named(results, claim.rival)
+                if (theirs := measure.of(result)) is not None
+                and (ours := measure.of(mine.get(result["seed"], {}))) is not None
+            ]
+            if len(gaps) > 1:
+                pairs.append((claim, paired(gaps)))
+        ps = corrected([found.p for _, found in pairs])
+        out += [Judged(claim, name, found, p) for (claim, found), p in zip(pairs, ps, strict=True)]
+    return out
+
+
+def verdict(claim: Claim, found: Sequence[Judged]) -> str:
+    """Return the verdict on a claim by its own measures: one decides, unless another decides otherwise."""
+    said = {each.verdict for each in found if each.measure in claim.measures} - {"cannot be told"}
+    if len(said) > 1:
+        return "measures differ"
+    return said.pop() if said else "cannot be told"
 
 
 def claims_table(results: Results, title: str) -> Table:
     """Return the claims about the variants that one folder of results holds, with the verdict on each."""
-    mine = named(results, "TPTN")
-    rows = [_row(claim, mine, theirs) for claim in CLAIMS if mine and (theirs := named(results, claim.rival))]
+    by_claim: dict[Claim, list[Judged]] = {}
+    for each in judged(results):
+        by_claim.setdefault(each.claim, []).append(each)
+    rows = []
+    for claim in CLAIMS:
+        theirs = named(results, claim.rival)
+        if not theirs or not named(results, "TPTN"):
+            continue
+        found = by_claim.get(claim, [])
+        cells = {each.measure: each.cell() for each in found}
+        beside = "".join(cell for name, cell in cells.items() if name not in BETTER)
+        seeds = str(min((each.found.count for each in found), default=len(theirs)))
+        shown = (*(cells.get(name, "") for name in BETTER), beside)
+        rows.append((claim.text, claim.rival, seeds, *shown, verdict(claim, found)))
     return Table(title, CLAIMS_HEADER, tuple(rows))
 
 
-def _row(claim: Claim, mine: Results, theirs: Results) -> tuple[str, ...]:
-    column = next(each for each in MAIN if each.metric == claim.metric)
-    if claim.less:
-        column = replace(column, goal="high")
-    ours, rival = figure_of(mine, claim.metric), figure_of(theirs, claim.metric)
-    truth = figure_of(mine, claim.metric, recorded=True)
-    paper = [paper_row("D_L", name) for name in ("TPTN", claim.rival)]
-    told = " against ".join(f"{row[column.paper]:g}" for row in paper if row is not None)
-    if ours is None or rival is None:
-        return (claim.text, column.title, told, "-", "cannot be measured")
-    said = " against ".join(_figure(each, column.digits) for each in (ours, rival))
-    return (claim.text, column.title, told, said, verdict(column, ours, rival, truth))
-
-
-def _figure(figure: Figure, digits: int) -> str:
-    spread = f" ± {figure.spread:.{digits}f}" if figure.seeds > 1 else ""
-    return f"{figure.mean:.{digits}f}{spread}"
-
-
-def verdict(column: Column, ours: Figure, rival: Figure, truth: Figure | None) -> str:
-    """Return "agrees" or "does not agree" where the difference is more than twice the larger spread over seeds.
-
-    One seed of the rival is judged by the spread of TPTN, and told; with one seed of both nothing can be said.
-    """
-    if max(ours.seeds, rival.seeds) < 2:
-        return "cannot be said: one seed"
-    gap = column.loss(rival.mean, truth) - column.loss(ours.mean, truth)
-    if abs(gap) <= 2.0 * max(ours.spread, rival.spread):
-        return "cannot be said: within twice the spread"
-    single = ", by one seed" if min(ours.seeds, rival.seeds) < 2 else ""
-    return ("agrees" if gap > 0.0 else "does not agree") + single
-
-
-def blind(results: Results) -> list[str]:
-    """Return the part transformers whose predicted trajectory hardly depends on the frames fed in (derivatives.py)."""
-    gains = {
-        name: [r["derivatives"]["features"] for r in named(results, name) if r.get("derivatives")]
-        for name in names_of(results)
-    }
-    return [name for name, found in gains.items() if found and sum(found) / len(found) < BLIND]
+def counts(results: Results) -> str:
+    """Say how many claims are decided."""
+    table = claims_table(results, "")
+    if not table.rows:
+        return ""
+    said = [row[-1] for row in table.rows]
+    decided = sum(each in ("agrees", "does not agree") for each in said)
+    agree = said.count("agrees")
+    return f"{decided} of {len(said)} claims are decided: {agree} agree, {decided - agree} do not."

@@ -34,6 +34,7 @@ from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
 from motionkit.models.network import parameter_count
 from motionkit.models.predictor import Predictor
+from motionkit.training.budgets import BUDGETS
 from motionkit.training.options import TrainOptions
 from motionkit.training.presets import train_options
 from motionkit.training.report import TrainEvent
@@ -331,6 +332,7 @@ def budget_of(name: str, options: TrainOptions, steps: int) -> dict[str, Any]:
         "window": options.sampler.window,
         "rate": optimizer.rate,
         "method": optimizer.method,
+        "config": dict(BUDGETS[name].config),
     }
 
 

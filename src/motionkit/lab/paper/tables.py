@@ -16,7 +16,6 @@ from motionkit.lab.paper.variants import VARIANTS, Variant
 from motionkit.lab.statistics import Figure, figure
 from motionkit.names import counted
 from motionkit.tables import Table
-from motionkit.training.budgets import BUDGETS
 
 Results = Sequence[dict[str, Any]]
 
@@ -191,6 +190,7 @@ def _folder_tables(folder: str, results: Results) -> list[Table]:
                 _table(f"Metrics of other papers: {_named(folder)}", selection, present, by_name, RESEARCH)
             )
             out.append(_distribution(f"Sets of motions: {_named(folder)}", present, by_name))
+    out += _held_out_tables(_named(folder), [v for v in VARIANTS if v.name in by_name], by_name)
     out.append(_derivatives(f"Derivatives of the predicted trajectory: {_named(folder)}", by_name))
     return [table for table in out if table.rows]
 
@@ -269,6 +269,73 @@ def _distribution(title: str, variants: Sequence[Variant], by_name: dict[str, li
     return Table(title, ("", "Frechet distance (fid-pose)", "diversity"), tuple(rows))
 
 
+# Titles of columns, the fields of "held-out" that they show, and digits after the point.
+AHEAD = (
+    ("likelihood", ("nll",), 1),
+    ("trajectory's likelihood", ("nll-trajectory",), 1),
+    *((name, ("error", name), 3) for name in ("rotations", "positions", "velocities", "root", "trajectory")),
+)
+OPEN_LOOP = (
+    *((f"joints, {name} s (cm)", ("open-loop", "mean", f"mpjpe-{name}"), 2) for name in ("0.25", "0.5", "1")),
+    ("root, 1 s (cm)", ("open-loop", "mean", "root-1"), 2),
+    ("joints of a sample, 1 s (cm)", ("open-loop", "sample", "mpjpe-1"), 2),
+    ("BM by mean (deg/frame)", ("bm", "mean"), 1),
+    ("BM of a sample (deg/frame)", ("bm", "sample"), 1),
+)
+
+
+def held_out_value(result: dict[str, Any], path: Sequence[str]) -> float | None:
+    """Return a number below "held-out" of a result; None where it has none."""
+    value: Any = result.get("held-out")
+    for key in path:
+        value = value.get(key) if isinstance(value, dict) else None
+    return value
+
+
+def _held_out_tables(
+    named_folder: str, variants: Sequence[Variant], by_name: dict[str, list[dict[str, Any]]]
+) -> list[Table]:
+    """Errors one frame ahead and in open loop, on the same windows and from the same frames for all networks."""
+    members = [v for v in variants if any("held-out" in r for r in by_name[v.name])]
+    if not members:
+        return []
+    one = next(r for r in by_name[members[0].name] if "held-out" in r)
+    copied = [("repeated", "copy"), ("going on", "extrapolation")]
+    first: list[tuple[str, ...]] = []
+    for name, way in copied:
+        cells = [_known([held_out_value(one, (way, path[-1]))], digits) for _, path, digits in AHEAD]
+        first.append((name, "", *cells))
+    recorded = [
+        _known([held_out_value(one, ("bm", "recorded"))], 1) if path[0] == "bm" else ""
+        for _, path, _ in OPEN_LOOP
+    ]
+    out = []
+    for title, columns, above in (
+        ("One frame ahead, on held-out clips", AHEAD, first),
+        ("A second in open loop, from held-out frames", OPEN_LOOP, [("recorded", "", *recorded)]),
+    ):
+        rows = [
+            (
+                v.name,
+                str(len(by_name[v.name])),
+                *(
+                    _known([held_out_value(r, path) for r in by_name[v.name]], digits)
+                    for _, path, digits in columns
+                ),
+            )
+            for v in members
+        ]
+        out.append(
+            Table(f"{title}: {named_folder}", ("", "seeds", *(name for name, *_ in columns)), (*above, *rows))
+        )
+    return out
+
+
+def _known(values: Sequence[float | None], digits: int) -> str:
+    """A cell of the values that are there."""
+    return _cell(figure([value for value in values if value is not None]), digits)
+
+
 def _derivatives(title: str, by_name: dict[str, list[dict[str, Any]]]) -> Table:
     rows = []
     for v in VARIANTS:
@@ -296,13 +363,11 @@ def budget_lines(results: Results) -> list[str]:
                 f" Each network: {b['steps']} steps of {b['batch']} windows of {b['window']} frames, "
                 f"rate {b['rate']:g}; {minutes} ({trained[0]['timing']['machine']})."
             )
-            changes = BUDGETS[b["name"]].config if b["name"] in BUDGETS else {}
-            if changes:
-                words = ", ".join(f"{option} {value:g}" for option, value in changes.items())
-                line += (
-                    f" So short a training needs part transformers that begin near a copy of the present frame, with "
-                    f"little dropout: {words}. Absolute head is TPTN without these changes."
-                )
+            if "config" not in b:
+                line += " By an earlier protocol: AdamW without warm-up, a trajectory head without skip."
+            elif b["config"]:
+                words = ", ".join(f"{option} {value:g}" for option, value in b["config"].items())
+                line += f" Part transformers differ from the paper's in {words}, because training is short."
         most = f"At most {here[0]['longest']} frames are made of a sequence."
         lines.append(f"{line} {_test_set(here)} {most} {_command(here, folder)}")
     return lines
