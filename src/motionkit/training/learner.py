@@ -75,10 +75,11 @@ class Learner:
         return self.module.network
 
     def averages(self) -> list[dict[str, Tensor]]:
-        """Return the averaged weights of each seed's network by name, on the CPU."""
+        """Return copies of the averaged weights of each seed's network by name, on the CPU."""
+        copies = {name: value.to("cpu", copy=True) for name, value in self.average.items()}
         if self.seeds == 1:
-            return [{name: value.cpu() for name, value in self.average.items()}]
-        return [{name: value[i].cpu() for name, value in self.average.items()} for i in range(self.seeds)]
+            return [copies]
+        return [{name: value[i] for name, value in copies.items()} for i in range(self.seeds)]
 
     def step(self, batch: Batch, options: TrainOptions, at: Progress) -> dict[str, Tensor]:
         """Update the weights with a batch; return the losses by name, their "total", and the "gradient" norm.

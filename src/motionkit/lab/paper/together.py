@@ -20,11 +20,18 @@ import torch
 from torch import Tensor
 
 from motionkit.data.dataset import Dataset
-from motionkit.errors import MotionkitError
 from motionkit.features.control import ControlLayout
 from motionkit.files import atomic_write
 from motionkit.lab.paper.datasets import select
-from motionkit.lab.paper.runs import Plan, Task, model_file, options_of, run_one
+from motionkit.lab.paper.runs import (
+    Plan,
+    Task,
+    check_writable,
+    model_file,
+    options_of,
+    run_all,
+    run_one,
+)
 from motionkit.lab.paper.side_by_side import side_by_side
 from motionkit.lab.paper.variants import Variant, variant
 from motionkit.models.architectures import build, network_class
@@ -171,6 +178,31 @@ def _batches(
 # ---- runs of an experiment ----
 
 
+def run_together(
+    plan: Plan,
+    tasks: Sequence[Task],
+    jobs: int,
+    say: Callable[[str], None],
+    progress: Callable[[float], None],
+) -> Generator[Path, None, None]:
+    """As run_all, but part transformers train together, and `jobs` processes test them; other runs come after them."""
+    own = [(each, seed) for each, seed in tasks if _trains_together(plan, each)]
+    others = [task for task in tasks if task not in own]
+    share = len(own) / max(1, len(tasks))
+    if own:
+        train_all(plan, own, say, lambda done: progress(0.7 * share * done))
+        works = [(f"{each.name}, seed {seed}", partial(_test, plan, each.name, seed)) for each, seed in own]
+        yield from side_by_side(works, jobs, say, lambda done: progress(share * (0.7 + 0.3 * done)))
+    yield from run_all(plan, others, jobs, say, lambda done: progress(share + (1.0 - share) * done))
+
+
+def _trains_together(plan: Plan, each: Variant) -> bool:
+    if not each.preset:
+        return False
+    options = options_of(plan, each, 0)
+    return network_class(preset(options.preset, **options.config).architecture) is PartTransformer
+
+
 def train_all(
     plan: Plan,
     tasks: Sequence[Task],
@@ -178,7 +210,7 @@ def train_all(
     progress: Callable[[float], None],
     minutes: float | None = None,
 ) -> Plan:
-    """Train the part transformers of some runs together, and write their models and logs; run_one tests them.
+    """Train part transformers together, those with the same seeds at a time, and write models and logs for run_one.
 
     Args:
         minutes: ends the training of all at the same step, in place of the plan's number of steps.
@@ -188,30 +220,38 @@ def train_all(
 
     Raises:
         DatasetError: if the dataset does not fit.
-        MotionkitError: a network is no part transformer, or the networks have other seeds.
     """
+    check_writable(plan)
     dataset, device = select(plan.data, plan.selection), resolve_device(plan.device)
-    seeds: dict[str, list[int]] = {}
+    seeds: dict[str, tuple[int, ...]] = {}
     for each, seed in tasks:
-        seeds.setdefault(each.name, []).append(seed)
-    if len({tuple(found) for found in seeds.values()}) != 1:
-        raise MotionkitError("networks that train together need the same seeds: give --every-seed")
-    stacks = {}
-    for name, found in seeds.items():
-        options = [options_of(plan, variant(name), seed) for seed in found]
-        if network_class(preset(options[0].preset, **options[0].config).architecture) is not PartTransformer:
-            raise MotionkitError(f"{name} is no part transformer, and trains alone")
-        # Products this small gain less from 16 bits than the kernels that convert to them cost.
-        changes: dict[str, Any] = {"precision": "float32"}
-        if minutes is not None:
-            changes |= {"steps": None, "minutes": minutes}
-        stacks[name] = stack(dataset, [with_changes(each, changes) for each in options], device)
-    say(f"{counted(len(stacks), 'network')} with {counted(len(tasks) // len(stacks), 'seed')} each")
-    steps = train_together(dataset, list(stacks.values()), device, progress)
-    made = replace(plan, steps=steps) if minutes is not None else plan
-    for name, trained in stacks.items():
-        _write(made, variant(name), trained, dataset)
-    return made
+        seeds[each.name] = (*seeds.get(each.name, ()), seed)
+    # Products this small gain less from 16 bits than the kernels that convert to them cost.
+    changes: dict[str, Any] = {"precision": "float32"}
+    if minutes is not None:
+        changes |= {"steps": None, "minutes": minutes}
+    alike = list(dict.fromkeys(seeds.values()))
+    for number, found in enumerate(alike):
+        names = [name for name, own in seeds.items() if own == found]
+        say(f"{counted(len(names), 'network')} with {counted(len(found), 'seed')} each, together")
+        stacks = {
+            name: stack(
+                dataset,
+                [with_changes(options_of(plan, variant(name), seed), changes) for seed in found],
+                device,
+            )
+            for name in names
+        }
+        steps = train_together(
+            dataset,
+            list(stacks.values()),
+            device,
+            lambda done, n=number: progress((n + done) / len(alike)),  # type: ignore[misc]
+        )
+        plan = replace(plan, steps=steps) if minutes is not None else plan
+        for name, trained in stacks.items():
+            _write(plan, variant(name), trained, dataset)
+    return plan
 
 
 def _write(plan: Plan, each: Variant, trained: Stack, dataset: Dataset) -> None:
@@ -232,17 +272,5 @@ def _write(plan: Plan, each: Variant, trained: Stack, dataset: Dataset) -> None:
                 file.write(json.dumps(line | numbers) + "\n")
 
 
-def evaluate_all(
-    plan: Plan,
-    tasks: Sequence[Task],
-    jobs: int,
-    say: Callable[[str], None],
-    progress: Callable[[float], None],
-) -> Generator[Path, None, None]:
-    """Test the trained models of runs, some at a time in processes of their own, and yield each result's file."""
-    works = [(f"{each.name}, seed {seed}", partial(_evaluate, plan, each.name, seed)) for each, seed in tasks]
-    yield from side_by_side(works, jobs, say, progress)
-
-
-def _evaluate(plan: Plan, name: str, seed: int, progress: Callable[[float], None]) -> Path:
+def _test(plan: Plan, name: str, seed: int, progress: Callable[[float], None]) -> Path:
     return run_one(plan, variant(name), seed, lambda text: None, progress, trained=True)
