@@ -233,6 +233,13 @@ def test_momentum_adds_a_share_of_the_last_step(make_network, make_inputs) -> No
     assert torch.allclose(difference, 0.5 * steps, atol=1e-5)
 
 
+def test_momentum_begins_apart_in_velocities(make_network) -> None:
+    columns = feature_layout("expmap-root-1").columns
+    network = make_network(preset("tiny", layout="expmap-root-1", velocity_momentum=-0.25))
+    wanted = [-0.25 if "velocit" in column.block else 0.8 for column in columns]
+    assert network.momentum.tolist() == pytest.approx(wanted) and {-0.25, 0.8} == set(wanted)
+
+
 def test_layer_controls_can_be_left_out(make_network) -> None:
     without = make_network(preset("tiny", layer_controls=False))
     assert not any(".control." in name for name in without.state_dict())

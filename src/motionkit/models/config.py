@@ -36,6 +36,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "deep_dropout": (0.0, 0.99),
     "spatial_dropout": (0.0, 0.99),
     "head_leak": (0.0, 1.0),
+    "velocity_momentum": (-1.0, 1.0),
     "log_sigma_min": (-100.0, 100.0),
     "log_sigma_max": (-100.0, 100.0),
     "contact_hidden": (1, 4096),
@@ -106,9 +107,8 @@ class Head:
 
     head_leak: float = 0.8  # mean = head_leak x input pose + output; 0 is the paper's absolute head
     head_momentum: bool = False  # whether the mean adds a learned share, per column, of the last velocity
-    trajectory_skip: bool = (
-        False  # trajectory mean = the trajectory in the controls, if there is one, + output
-    )
+    velocity_momentum: float = 0.8  # where that share begins in velocities; 0 if recordings tremble
+    trajectory_skip: bool = False  # trajectory mean = the trajectory in the controls + output
     log_sigma_min: float = -5.0  # in normalised units (paper: sigma > 1e-4)
     log_sigma_max: float = 2.0
     contact_hidden: int = 64  # hidden channels of the Foot-MLP

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
-from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.models.attention import LocalAttention
 from motionkit.models.backbones import LstmLayers, LstmState
 from motionkit.models.config import ModelConfig
@@ -64,7 +64,7 @@ class PartTransformer(Predictor):
         crosses = P > 1 and config.variant.fusion == "cross-attention"
         self.cross = LocalAttention(P, D, config.heads, config.window, bias=False) if crosses else None
         self.aggregate = nn.Linear(P * D, 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT)
-        self.momentum = nn.Parameter(torch.full((FEATURE_COUNT,), 0.8)) if config.head.head_momentum else None
+        self.momentum = nn.Parameter(_first_momentum(config)) if config.head.head_momentum else None
         self.given_trajectory = ControlLayout.trajectory_columns(config.controls, control_size)
         self.feet = foot_parts(config)
         self.contact_mlp = FeedForward(1, 2 * D * len(self.feet), config.head.contact_hidden, CONTACT_COUNT)
@@ -165,6 +165,13 @@ class PartTransformer(Predictor):
             shallow,
             deep,
         )
+
+
+def _first_momentum(config: ModelConfig) -> Tensor:
+    """The share (276,) of the last step that the mean adds before training."""
+    columns = feature_layout(config.layout).columns
+    velocities = torch.tensor([column.block.endswith(("velocity", "velocities")) for column in columns])
+    return torch.where(velocities, config.head.velocity_momentum, 0.8)
 
 
 class _ModuleRings:

@@ -31,6 +31,7 @@ class Budget:
 NEAR_COPY = {
     "head_leak": 0.9,
     "head_momentum": True,
+    "velocity_momentum": 0.0,  # velocities of unfiltered recordings tremble: their last step says nothing of the next
     "trajectory_skip": True,
     "input_dropout": 0.1,
     "deep_dropout": 0.0,

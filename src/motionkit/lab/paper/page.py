@@ -224,11 +224,12 @@ def tables_path(path: Path) -> Path:
 
 
 def _most_trained(results: Results) -> str:
-    """Return the folder whose networks were trained for most steps, of the small data set if there is one."""
+    """Return the folder with most training, of those with held-out errors and of the small data set if any are."""
 
-    def training(folder: str) -> tuple[bool, int]:
+    def training(folder: str) -> tuple[bool, bool, int]:
         here = [result for result in results if result["folder"] == folder]
-        return here[0]["data"] == "D_L", max(r["budget"]["steps"] if "budget" in r else 0 for r in here)
+        steps = max(r["budget"]["steps"] if "budget" in r else 0 for r in here)
+        return any("held-out" in r for r in here), here[0]["data"] == "D_L", steps
 
     return max(protocol_folders(results), key=training)
 

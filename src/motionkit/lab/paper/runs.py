@@ -102,7 +102,8 @@ def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -
         made: what a result of now would be made from, by made_from; None where that is not known.
 
     Raises:
-        MotionkitError: the result is damaged, or was made from other data, or with another number of frames.
+        MotionkitError: the result is damaged, or was made from other data, by other training, or with another number
+            of frames.
     """
     file = result_file(plan, each, seed)
     if not file.exists():
@@ -113,6 +114,13 @@ def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -
             f"{file}: made with --frames {result['longest']}, not {plan.longest}; give these, choose another "
             "--results, or delete it"
         )
+    if "budget" in result:
+        found, wanted = result["budget"], budget_of(plan.budget, options_of(plan, each, seed), 0)
+        other = [name for name in wanted if name != "steps" and found.get(name) != wanted[name]]
+        if other:
+            raise MotionkitError(
+                f"{file}: made with another {other[0]} of training; choose another --results, or delete it"
+            )
     found = result.get("made", made)
     if made and found:
         _check_clips(file, found, made, f"{plan.data} ({plan.selection})")
