@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,7 +24,9 @@ from motionkit.files import (
     read_json,
     read_text,
     safe_name,
+    write_together,
 )
+from motionkit.locks import held
 
 ONE_MB = 2**20
 
@@ -185,3 +190,69 @@ def test_lines_end_alike_on_all_systems(tmp_path: Path, monkeypatch: pytest.Monk
     with atomic_write(tmp_path / "text") as file:
         file.write("a\n")
     assert seen == ["\n"] and (tmp_path / "text").read_bytes() == b"a\n"
+
+
+# ---- killed runs, and two at once ----
+
+# Holds a temporary file of "out" or a lock on it until it is killed.
+HOLDERS = {
+    "file": "from motionkit.files import atomic_write as hold; context = hold('out')",
+    "lock": "from motionkit.locks import held; context = held(__import__('pathlib').Path('out'), 'making it')",
+}
+
+
+@pytest.fixture(params=HOLDERS)
+def holder(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[subprocess.Popen]:
+    code = f"import sys; {HOLDERS[request.param]}; context.__enter__(); print('holds', flush=True); sys.stdin.read()"
+    running = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert running.stdout is not None and running.stdout.readline() == b"holds\n"
+    running.kind = request.param  # type: ignore[attr-defined]
+    yield running
+    running.kill()
+    running.communicate()
+
+
+def test_what_a_killed_run_left_is_known_from_what_a_living_one_holds(
+    holder: subprocess.Popen, tmp_path: Path
+) -> None:
+    def write() -> list[str]:
+        with held(tmp_path / "out", "making it") as notes, atomic_write(tmp_path / "out") as file:
+            file.write("mine")
+        return notes
+
+    is_lock = holder.kind == "lock"  # type: ignore[attr-defined]
+    if is_lock:
+        with pytest.raises(MotionkitError, match=rf"another run is making it \(process {holder.pid} on "):
+            write()
+    else:
+        write()
+    assert len(list(tmp_path.glob(".out.*"))) == 1, "what another run holds stays"
+    holder.kill()
+    holder.wait()
+    told = write()
+    assert [f"process {holder.pid} on" in note for note in told] == ([True] if is_lock else [])
+    assert [file.name for file in tmp_path.iterdir()] == ["out"] and (tmp_path / "out").read_text() == "mine"
+
+
+def test_files_of_others_that_look_like_leftovers_stay(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / ".out.motionkit-0").symlink_to(tmp_path / "mine")
+    (tmp_path / ".out.motionkit-1").mkdir()
+    (tmp_path / ".out.tmp").touch()
+    with atomic_write(tmp_path / "out") as file:
+        file.write("new")
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "mine", "out", ".out.motionkit-0", ".out.motionkit-1", ".out.tmp"
+    }  # fmt: skip
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_files_written_together_stay_if_one_cannot_be_written(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).write_text("old")
+    (tmp_path / "c").mkdir()
+    with pytest.raises(MotionkitError, match="c: is a folder"):
+        write_together({tmp_path / name: b"new" for name in "abc"})
+    assert {(tmp_path / name).read_text() for name in "ab"} == {"old"} and len(list(tmp_path.iterdir())) == 3
