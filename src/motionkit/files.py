@@ -10,6 +10,7 @@ import json
 import os
 import re
 import stat
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -23,6 +24,7 @@ MAX_TEXT_BYTES = 64 * 2**20  # bytes, about 67 MB; limit of a label table, a pat
 MAX_JSON_DEPTH = 50  # nested lists and objects; deeper ones could exhaust the stack of Python
 MAX_JSON_NODES = 2_000_000  # lists and objects; each takes about a hundred bytes of memory
 MAX_JSON_DIGITS = 40  # digits of an integer; saved states of random generators have 39
+MARKED_BYTES = 4096  # of a file, which say whether motionkit wrote it
 SLOTS = 8  # runs that may write one output at a time
 
 
@@ -178,6 +180,31 @@ def check_outputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path | N
         if identity in written:
             raise OverwriteError(f"{path}: would be written twice; choose another output")
         written.add(identity)
+
+
+def check_foreign(paths: Iterable[Path], ours: bytes = b"motionkit") -> None:
+    """Check that motionkit wrote the files that would be replaced or removed.
+
+    Args:
+        paths: files, which may be missing.
+        ours: what the first bytes of our files hold.
+
+    Raises:
+        OverwriteError: a file does not hold it.
+    """
+    for path in paths:
+        if path.exists() and not _starts_with(path, ours):
+            raise OverwriteError(
+                f"{path}: was not written by motionkit; choose another folder, or replace it with --force"
+            )
+
+
+def _starts_with(path: Path, mark: bytes) -> bool:
+    """Whether the first bytes of a file hold a mark."""
+    if not path.is_file():
+        return False
+    with open_regular(path, sys.maxsize) as file:
+        return mark in file.read(MARKED_BYTES)
 
 
 def _identity(path: Path) -> object:

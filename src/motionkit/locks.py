@@ -31,27 +31,27 @@ def held(target: Path, work: str, error: type[MotionkitError] = MotionkitError) 
         MotionkitError: another run holds the lock, or the lock file cannot be written.
     """
     path = target.parent / f".{target.name}.lock"
-    handle, ours = None, False
+    handle, ours = -1, False
     try:
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             while not ours:
                 with uninterrupted():
                     handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-                    locked = lock(handle)
-                    ours = not _lives(_holder(handle)) if locked is None else locked
+                    locked, holder = lock(handle), _holder(handle)
+                    ours = not _lives(holder) if locked is None else locked
                 if not ours:
+                    named = f" ({holder})" if holder else ""
                     raise error(
-                        f"{target}: another run is {work}{_named(handle)}; wait for it or choose another place"
+                        f"{target}: another run is {work}{named}; wait for it or choose another place"
                     )
                 if not names_file(path, handle):  # its holder removed it since it was opened
                     os.close(handle)
-                    handle, ours = None, False
+                    handle, ours = -1, False
+            _sign(handle)
         except OSError as fault:
             raise error(f"{target}: cannot be written ({fault.strerror or fault})") from None
-        left = _holder(handle)
-        _sign(handle)
-        yield [f"{target}: the lock of {left}, which has ended, is taken over"] if left else []
+        yield [f"{target}: the lock of {holder}, which has ended, is taken over"] if holder else []
     finally:
         _release(path, handle, ours)
 
@@ -101,10 +101,10 @@ def remove_abandoned(path: str | Path) -> None:
         os.close(handle)
 
 
-def _release(path: Path, handle: int | None, ours: bool) -> None:
+def _release(path: Path, handle: int, ours: bool) -> None:
     if ours and os.name != "nt":  # before the lock is released, so that nobody else locks an unlinked file
         path.unlink(missing_ok=True)
-    if handle is not None:
+    if handle >= 0:
         os.close(handle)
     if ours and os.name == "nt":
         with suppress(OSError):
@@ -124,11 +124,6 @@ def _holder(handle: int) -> str:
     """The process named in a lock file; empty if there is none."""
     os.lseek(handle, 0, os.SEEK_SET)
     return os.read(handle, 200).decode("utf-8", "replace")
-
-
-def _named(handle: int) -> str:
-    holder = _holder(handle)
-    return f" ({holder})" if holder else ""
 
 
 def _lives(holder: str) -> bool:
