@@ -16,10 +16,13 @@ from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import ControlError, MotionkitError
 from motionkit.models.model import MotionModel
+from motionkit.motion.bvh import write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.reach import reach
 from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
+from motionkit.rig import retarget
+from synthetic_motions import make_walk
 
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
 RUN = str(DATA / "16_45.bvh")
@@ -211,6 +214,27 @@ def test_what_keys_may_not_be(tiny_model: MotionModel, tmp_path: Path, value: ob
 def test_files_that_are_not_there(tiny_model: MotionModel, tmp_path: Path) -> None:
     with pytest.raises(MotionkitError, match=r"gone\.bvh"):
         read_keys(write(tmp_path, {"time": 1, "pose": {"file": "gone.bvh"}}), tiny_model)
+
+
+def test_a_file_that_is_no_motion_is_not_shown(tiny_model: MotionModel, tmp_path: Path) -> None:
+    (tmp_path / "secret.txt").write_text("\nhunter2 is the password\n")
+    with pytest.raises(ControlError, match=r"key 1: pose: secret\.txt: no BVH file .* at line 2") as fault:
+        read_keys(write(tmp_path, {"time": 1, "pose": {"file": "secret.txt"}}), tiny_model)
+    assert "hunter2" not in str(fault.value)
+
+
+def test_each_file_is_read_once(
+    tiny_model: MotionModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in "ab":
+        write_bvh(tmp_path / f"{name}.bvh", make_walk(60))
+    read = []
+    plain = retarget.retarget_file
+    monkeypatch.setattr(retarget, "retarget_file", lambda path: (read.append(path.name), plain(path))[1])
+    poses = [{"time": 0.5 + 0.2 * n, "pose": {"file": f"{'ab'[n % 2]}.bvh"}} for n in range(6)]
+    keys = read_keys(write(tmp_path, *poses), tiny_model)
+    assert sorted(read) == ["a.bvh", "b.bvh"]
+    assert [key.seconds for key in keys] == pytest.approx([pose["time"] for pose in poses])
 
 
 def test_what_cannot_be_met_is_said_in_one_line(tiny_model: MotionModel) -> None:
