@@ -420,3 +420,25 @@ def test_endings_that_are_not_written(walk: Motion, tmp_path: Path, name: str) -
         write_motion(tmp_path / name, walk)
     assert "\n" not in str(fault.value) and not list(tmp_path.iterdir())
     assert (".glb" in str(fault.value)) or (".usda" in str(fault.value)) or (".vrma" in str(fault.value))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("ending", WRITERS)
+@pytest.mark.parametrize("joint", ["LeftForeArm", "LeftLeg", "Neck", "LeftArm", "Spine", "LeftFoot"])
+@pytest.mark.parametrize("length", [0.0, 3e4, 1e6])
+def test_bones_of_any_length_give_finite_numbers_or_one_line(
+    walk: Motion, tmp_path: Path, ending: str, joint: str, length: float
+) -> None:
+    offsets = walk.skeleton.offsets.copy()
+    offsets[JOINT_NAMES.index(joint)] = (0.0, length, 0.0)
+    motion = replace(walk, skeleton=replace(walk.skeleton, offsets=offsets)).cut(0, 3)
+    path = tmp_path / f"a{ending}"
+    try:
+        write_motion(path, motion)
+    except SkeletonError as error:
+        assert "\n" not in str(error) and not path.exists()
+        return
+    if ending in (".bvh", ".glb"):
+        assert np.isfinite(positions(read_motion(path))).all()
+    elif ending != ".npz" and ending != ".vrma":
+        assert not re.search(r"\b(nan|inf)\b", path.read_text(), re.IGNORECASE)

@@ -158,7 +158,7 @@ def _first(tensors: dict[str, torch.Tensor], prefix: str) -> str:
         ("optimizer.momentum.", lambda t: t[:1], "expected (2, "),
         ("average.", lambda t: t.half(), "is of type F16"),
         ("average.", lambda t: None, "is missing"),
-        ("weights.", lambda t: t * torch.nan, "numbers that are NaN or infinite"),
+        ("weights.", lambda t: t * torch.nan, "numbers that are NaN, infinite or above"),
         ("random.cpu", lambda t: t[:7], "has shape (7,), expected"),
         ("random.cpu", lambda t: t.float(), "is of type F32"),
     ],

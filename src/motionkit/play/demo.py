@@ -6,13 +6,17 @@ import hashlib
 from importlib.resources import files
 from pathlib import Path
 
+from motionkit.control.script import TypePart
+from motionkit.control.synthesize import synthesize
 from motionkit.errors import MotionkitError
 from motionkit.export.page_model import page_model
 from motionkit.files import check_foreign, write_together
+from motionkit.inference.character import model_first_type
 from motionkit.models.model import MotionModel
 from motionkit.play.figures import standing_rig
 from motionkit.view.viewer import fill_page, page_asset
 
+CHECKED = 1.0  # s of motion that a model must make without a fault before its page is written
 NAMES = ("index.html", "motionkit.wasm", "model.bin", "three-LICENSE.txt", "sw.js")
 
 
@@ -28,7 +32,7 @@ def write_demo(folder: str | Path, model: MotionModel, force: bool = False) -> d
         Size in bytes of each file, by name.
 
     Raises:
-        ModelError: the kernels cannot run the network.
+        ModelError: the kernels cannot run the network, or it predicts no motion.
         OverwriteError: a file is in the way that motionkit did not write.
         MotionkitError: the folder cannot be written.
     """
@@ -45,6 +49,7 @@ def write_demo(folder: str | Path, model: MotionModel, force: bool = False) -> d
         "model.bin": page_model(model),
         "three-LICENSE.txt": page_asset("three-LICENSE.txt").encode(),
     }
+    synthesize(model, [TypePart(model_first_type(model), CHECKED)])
     digest = hashlib.sha256(b"".join(made.values())).hexdigest()
     made["sw.js"] = page_asset("demo-sw.js").replace("__VERSION__", digest[:16]).encode()
     write_together({folder / name: data for name, data in made.items()})
