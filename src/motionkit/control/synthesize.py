@@ -166,8 +166,14 @@ def _begun(
 
 
 def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
-    """Raise ControlError for more motion than memory holds."""
-    fps = max(model_fps, options.fps or 0.0)
+    """Raise ControlError for more motion than memory holds, or less than two frames of the file."""
+    rate = options.fps or model_fps
+    least = 1.0 / rate + 1.0 / model_fps  # as resample counts frames
+    if seconds < least - 1e-9:
+        raise ControlError(
+            f"expected at least 2 frames, {least:.2g} s at {rate:g} fps, found {seconds:.2g} s"
+        )
+    fps = max(model_fps, rate)
     most = MAX_FRAMES / options.count / fps
     if seconds > most:
         raise ControlError(

@@ -334,6 +334,7 @@ class PlayServer:
 
         def sent_all(_: asyncio.Task) -> None:
             if client.stalled:
+                self.live.leave(client)  # its last requests may wait for their turns for long
                 abort()
             elif client.let_go:  # after the last event is sent
                 loop.call_later(CLOSE_SECONDS, abort)
