@@ -7,18 +7,24 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.errors import DatasetError, MotionkitError
+from motionkit.errors import DatasetError, MotionkitError, OverwriteError
 from motionkit.files import (
+    MARKED_BYTES,
     MAX_JSON_DEPTH,
+    SLOTS,
     atomic_write,
+    check_foreign,
     check_outputs,
     check_regular,
+    files_below,
+    is_number,
     parse_json,
     read_bytes,
     read_json,
@@ -113,6 +119,23 @@ def test_json_as_deep_as_may_be_and_brackets_in_strings(tmp_path: Path) -> None:
     assert read_json(tmp_path / "a.json") == json.loads(text)
 
 
+def test_one_level_too_many_is_refused() -> None:
+    parse_json("[" * MAX_JSON_DEPTH + "]" * MAX_JSON_DEPTH, "a")
+    with pytest.raises(MotionkitError, match=f"more than {MAX_JSON_DEPTH} levels"):
+        parse_json("[" * (MAX_JSON_DEPTH + 1) + "]" * (MAX_JSON_DEPTH + 1), "a")
+
+
+@pytest.mark.parametrize(
+    ("value", "whole", "is_one"),
+    [
+        (1, False, True), (2.5, False, True), (3, False, True), (0.99, False, False), (3.01, False, False),
+        (2, True, True), (2.0, True, False), (True, False, False), ("2", False, False), (None, False, False),
+    ],
+)  # fmt: skip
+def test_what_a_number_is(value: object, whole: bool, is_one: bool) -> None:
+    assert is_number(value, 1, 3, whole) == is_one
+
+
 def test_quotes_without_end_take_no_time() -> None:
     with pytest.raises(MotionkitError):
         parse_json('"' + '\\"' * 1_000_000, "file.json")
@@ -190,6 +213,48 @@ def test_lines_end_alike_on_all_systems(tmp_path: Path, monkeypatch: pytest.Monk
     with atomic_write(tmp_path / "text") as file:
         file.write("a\n")
     assert seen == ["\n"] and (tmp_path / "text").read_bytes() == b"a\n"
+
+
+def test_a_new_file_has_the_usual_permissions(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        with atomic_write(tmp_path / "new"):
+            pass
+    finally:
+        os.umask(before)
+    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o640
+
+
+def test_so_many_may_write_one_file(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        for number in range(SLOTS):
+            stack.enter_context(atomic_write(tmp_path / "a")).write(f"{number}")
+        with pytest.raises(MotionkitError, match=f"a: cannot be written .{SLOTS} other runs"):
+            stack.enter_context(atomic_write(tmp_path / "a"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_files_with_the_mark_are_ours(tmp_path: Path) -> None:
+    (tmp_path / "ours").write_bytes(b"x" * (MARKED_BYTES - 9) + b"motionkit")
+    check_foreign([tmp_path / "ours", tmp_path / "missing"])
+    for name, data in (("late", b"x" * (MARKED_BYTES - 8) + b"motionkit"), ("empty", b"")):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(OverwriteError, match=f"{name}: was not written by motionkit"):
+            check_foreign([tmp_path / "ours", tmp_path / name])
+    with pytest.raises(OverwriteError, match="was not written"):
+        check_foreign([tmp_path])
+
+
+def test_files_below_a_folder(tmp_path: Path) -> None:
+    assert files_below(tmp_path / "missing", ".bvh") == []
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    for name in ("a/b/1.BVH", "a/2.bvh", "a/3.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "a" / "loop").symlink_to(tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in files_below(tmp_path, ".bvh")] == [
+        "a/2.bvh",
+        "a/b/1.BVH",
+    ]
 
 
 # ---- killed runs, and two at once ----

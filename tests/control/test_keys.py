@@ -223,6 +223,32 @@ def test_a_file_that_is_no_motion_is_not_shown(tiny_model: MotionModel, tmp_path
     assert "hunter2" not in str(fault.value)
 
 
+@pytest.mark.parametrize(
+    ("away", "seconds", "fits"),
+    [(10.0, 1.0, True), (10.01, 1.0, False), (5.5, 0.5, True), (5.51, 0.5, False)],
+)
+def test_the_fastest_way_between_two_keys(away: float, seconds: float, fits: bool) -> None:
+    """9 m/s and a metre more, from the origin and from the key before."""
+    for start in (0.0, 3.0):
+        before = [Key(start, position=np.zeros(2))] if start else []
+        keys = [*before, Key(start + seconds, position=np.array([0.0, 100.0 * away]))]
+        if fits:
+            assert len(check_keys(keys)) == len(keys)
+        else:
+            with pytest.raises(ControlError, match="m from the one before"):
+                check_keys(keys)
+
+
+@pytest.mark.parametrize(("apart", "fits"), [(0.2, True), (0.19, False)])
+def test_the_least_time_between_two_keys(apart: float, fits: bool) -> None:
+    keys = [Key(1.0, facing=0.0), Key(1.0 + apart, facing=0.0)]
+    if fits:
+        assert len(check_keys(keys)) == 2
+    else:
+        with pytest.raises(ControlError, match=r"expected 0\.2 s between keys"):
+            check_keys(keys)
+
+
 def test_each_file_is_read_once(
     tiny_model: MotionModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

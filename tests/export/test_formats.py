@@ -442,3 +442,13 @@ def test_bones_of_any_length_give_finite_numbers_or_one_line(
         assert np.isfinite(positions(read_motion(path))).all()
     elif ending != ".npz" and ending != ".vrma":
         assert not re.search(r"\b(nan|inf)\b", path.read_text(), re.IGNORECASE)
+
+
+def test_every_array_of_a_glb_begins_at_a_multiple_of_four() -> None:
+    """As glTF demands of floats, also after arrays of an odd number of short integers."""
+    document = GltfDocument()
+    for _ in range(2):
+        document.accessor(np.zeros(3, np.uint16), "SCALAR")
+        document.accessor(np.zeros((2, 3), np.float32), "VEC3")
+    offsets = [view["byteOffset"] for view in document.json["bufferViews"]]
+    assert offsets == [0, 8, 32, 40]
