@@ -18,7 +18,7 @@ from motionkit.control.script import TypePart, parse_types
 from motionkit.control.speeds import check_speeds
 from motionkit.control.steering import walking_type
 from motionkit.control.synthesize import SynthesisOptions, SynthesisResult
-from motionkit.errors import ControlError, MotionkitError
+from motionkit.errors import ControlError
 from motionkit.models.bundled import open_model
 from motionkit.models.model import MotionModel
 from motionkit.names import nfc
@@ -83,10 +83,9 @@ class SynthesisRequest:
 
     @property
     def frames(self) -> int:
-        """Length of the longest motion in frames at the model's rate. Raises MotionkitError if one has fewer than 2."""
+        """Length of the longest motion in frames at the model's rate. Raises ControlError if one is too short."""
         lengths = [len(plan_types(self.model, plan).track) for plan in self.plans]
-        if min(lengths) < 2:
-            raise MotionkitError(f"expected at least 2 frames, {2.0 / self.model.fps:.2g} s, found 1")
+        synthesize.check_size(min(lengths) / self.model.fps, self.model.fps, self.options)
         return max(lengths)
 
     def run(self, progress: Callable[[int], None] | None = None) -> SynthesisResult:

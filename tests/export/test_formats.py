@@ -420,3 +420,35 @@ def test_endings_that_are_not_written(walk: Motion, tmp_path: Path, name: str) -
         write_motion(tmp_path / name, walk)
     assert "\n" not in str(fault.value) and not list(tmp_path.iterdir())
     assert (".glb" in str(fault.value)) or (".usda" in str(fault.value)) or (".vrma" in str(fault.value))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("ending", WRITERS)
+@pytest.mark.parametrize("joint", ["LeftForeArm", "LeftLeg", "Neck", "LeftArm", "Spine", "LeftFoot"])
+@pytest.mark.parametrize("length", [0.0, 3e4, 1e6])
+def test_bones_of_any_length_give_finite_numbers_or_one_line(
+    walk: Motion, tmp_path: Path, ending: str, joint: str, length: float
+) -> None:
+    offsets = walk.skeleton.offsets.copy()
+    offsets[JOINT_NAMES.index(joint)] = (0.0, length, 0.0)
+    motion = replace(walk, skeleton=replace(walk.skeleton, offsets=offsets)).cut(0, 3)
+    path = tmp_path / f"a{ending}"
+    try:
+        write_motion(path, motion)
+    except SkeletonError as error:
+        assert "\n" not in str(error) and not path.exists()
+        return
+    if ending in (".bvh", ".glb"):
+        assert np.isfinite(positions(read_motion(path))).all()
+    elif ending != ".npz" and ending != ".vrma":
+        assert not re.search(r"\b(nan|inf)\b", path.read_text(), re.IGNORECASE)
+
+
+def test_every_array_of_a_glb_begins_at_a_multiple_of_four() -> None:
+    """As glTF demands of floats, also after arrays of an odd number of short integers."""
+    document = GltfDocument()
+    for _ in range(2):
+        document.accessor(np.zeros(3, np.uint16), "SCALAR")
+        document.accessor(np.zeros((2, 3), np.float32), "VEC3")
+    offsets = [view["byteOffset"] for view in document.json["bufferViews"]]
+    assert offsets == [0, 8, 32, 40]

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import PLACE, print_json, stderr_console, stdout_console
+from motionkit.cli.common import PLACE, print_json, remark, stderr_console, stdout_console
 from motionkit.cli.showing import open_in_browser
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.files import check_outputs, safe_name
+from motionkit.names import counted
 
 if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
@@ -122,7 +123,8 @@ class Wanted:
         base = self.output or default_output(name, files=everything)
         check_outputs([*everything(base), *also], inputs)
         page = base.with_suffix(".html") if self.view else None
-        return Outputs(tuple(motions(base)), page, self.as_json)
+        replaced = tuple(path for path in everything(base) if path.exists())
+        return Outputs(tuple(motions(base)), page, self.as_json, replaced)
 
 
 @dataclass(frozen=True)
@@ -133,11 +135,13 @@ class Outputs:
         files: motion files; "-" is standard output.
         page: the page of --view, or None.
         as_json: print JSON, and do not open a browser.
+        replaced: those that were there before.
     """
 
     files: tuple[Path, ...]
     page: Path | None
     as_json: bool
+    replaced: tuple[Path, ...] = ()
 
     @property
     def file(self) -> Path:
@@ -174,7 +178,10 @@ class Outputs:
             open_in_browser(self.page.resolve().as_uri())
 
     def report(self, facts: dict[str, Any], lines: Iterable[Any]) -> None:
-        """Print the result: the facts with --json, else the lines and tables; then the page."""
+        """Print the result: the facts with --json, else the lines and tables; then the page. Says what was replaced."""
+        if self.replaced:
+            more = f" and {counted(len(self.replaced) - 1, 'other file')}" if len(self.replaced) > 1 else ""
+            remark(f"replaced {self.replaced[0]}{more}")
         if self.as_json:
             print_json(facts | ({"view": self.page} if self.page else {}))
             return

@@ -19,12 +19,13 @@ from motionkit.control.script import TypePart
 from motionkit.control.speeds import acceleration_limit
 from motionkit.errors import ControlError
 from motionkit.finish.finish import Finish, Unfinished
+from motionkit.free_memory import check_memory
 from motionkit.inference.noise import Noise, default_noise
 from motionkit.inference.rollout import Controller, Rollout, RolloutState, rollout_motion, run
 from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
-from motionkit.motion.skeleton import Skeleton, leg_length
+from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, leg_length
 from motionkit.seeds import check_seed
 
 MAX_FRAMES = 500_000  # of all characters together, at the higher of model and file rate; takes 4 GB of memory
@@ -166,14 +167,21 @@ def _begun(
 
 
 def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
-    """Raise ControlError for more motion than memory holds."""
-    fps = max(model_fps, options.fps or 0.0)
+    """Raise MotionkitError for more motion than memory holds, or less than two frames of the file."""
+    rate = options.fps or model_fps
+    least = 1.0 / rate + 1.0 / model_fps  # as resample counts frames
+    if seconds < least - 1e-9:
+        raise ControlError(
+            f"expected at least 2 frames, {least:.2g} s at {rate:g} fps, found {seconds:.2g} s"
+        )
+    fps = max(model_fps, rate)
     most = MAX_FRAMES / options.count / fps
     if seconds > most:
         raise ControlError(
             f"{seconds:.0f} s of motion for each of {options.count} at {fps:g} fps are "
             f"{seconds * fps * options.count:,.0f} frames, expected at most {MAX_FRAMES:,}: {most:.0f} s for each"
         )
+    check_memory(round(seconds * fps * options.count), JOINT_COUNT, fps * options.count)
 
 
 def _asked(

@@ -56,6 +56,7 @@ def check_numbers(path: object, motion: Motion) -> None:
     """Raise MotionkitError for numbers that a file cannot hold, before writing begins."""
     places = [motion.root_positions, motion.skeleton.offsets]
     places += [] if motion.local_positions is None else [motion.local_positions]
+    places += map(np.array, motion.skeleton.end_sites.values())
     if len(motion) < 1:
         raise MotionkitError(f"{path}: not written: the motion has no frames")
     if not all(bool((np.abs(values) <= LARGEST).all()) for values in places):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError, ModelError, MotionkitError
+from motionkit.locks import held
 from motionkit.models.file_check import check_names
 from motionkit.models.network import parameter_count
 from motionkit.training.beginning import begin
@@ -64,13 +66,15 @@ def train(
     Raises:
         DatasetError: if the dataset does not fit the preset.
         ModelError: if the checkpoint is damaged or does not fit the options.
+        MotionkitError: another process trains in the run folder.
     """
     options = options or fine_tune_options("tptn", minutes=FINE_TUNE_MINUTES)
     dataset = dataset_folder if isinstance(dataset_folder, Dataset) else Dataset(dataset_folder)
     run = TrainingRun(dataset, Path(output), options, run_folder, device, on_event)
-    if resume:
-        run.resume()
-    return run.go()
+    with run.alone():
+        if resume:
+            run.resume()
+        return run.go()
 
 
 class TrainingRun:
@@ -103,6 +107,17 @@ class TrainingRun:
         self.sampler = WindowSampler(dataset, options.sampler, options.seed, kept, self.beginning.layout.kind)
         self.blocks = WindowBlocks(self.sampler, network, options, places)
         self.asked_to_stop = self.stops = False
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold the lock of the run folder for a block. Raises MotionkitError if another process trains there."""
+        if not self.processes.first:
+            yield
+            return
+        with held(self.report.folder, "training here") as notes:
+            for line in notes:
+                self.report.note(line)
+            yield
 
     def resume(self) -> None:
         """Continue from the checkpoint. Raises DatasetError or ModelError if there is none or it does not fit."""

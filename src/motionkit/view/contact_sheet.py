@@ -175,8 +175,12 @@ def write_contact_sheet(
     if Path(path).suffix.lower() != ".png":
         raise MotionkitError(f"{path}: a contact sheet is a .png file, found {Path(path).suffix!r}")
     picture = contact_sheet(motions, poses, width, every)
+    from PIL.PngImagePlugin import PngInfo
+
+    facts = PngInfo()
+    facts.add_text("Software", "motionkit")
     with atomic_write(path, "wb") as file:
-        picture.save(file, format="PNG")
+        picture.save(file, format="PNG", pnginfo=facts)
 
 
 def _pose_rows(poses: int) -> int:

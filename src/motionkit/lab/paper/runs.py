@@ -30,6 +30,7 @@ from motionkit.lab.paper.protocol import LONGEST, measure
 from motionkit.lab.paper.side_by_side import side_by_side
 from motionkit.lab.paper.variants import VARIANTS, Variant, chosen, parameters, variant
 from motionkit.lab.statistics import rounded
+from motionkit.locks import held
 from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
 from motionkit.models.network import parameter_count
@@ -224,28 +225,31 @@ def run_one(
 
     Raises:
         DatasetError: if the dataset does not fit.
-        MotionkitError: a result is there that is damaged, or of other data or other frames.
+        MotionkitError: a result is there that is damaged, or of other data or frames, or another process makes it.
     """
     file = result_file(plan, each, seed)
     dataset = select(plan.data, plan.selection)
     made = made_from(dataset)
-    if is_done(plan, each, seed, made):
-        return file
-    result: dict[str, Any] = {
-        "name": each.name,
-        "group": each.group,
-        "seed": seed,
-        "data": plan.selection,
-        "made": made,
-    }
-    if each.preset:
-        torch.set_num_threads(1)  # sums in one order, so that a seed gives the same figures
-        if not trained:
-            _train(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
-        result |= result_of(plan, each, seed, dataset)
-    else:
-        result |= _floor(plan, each, dataset, progress)
-    write_json(file, result)
+    with held(file, "making this result") as notes:
+        for line in notes:
+            say(line)
+        if is_done(plan, each, seed, made):
+            return file
+        result: dict[str, Any] = {
+            "name": each.name,
+            "group": each.group,
+            "seed": seed,
+            "data": plan.selection,
+            "made": made,
+        }
+        if each.preset:
+            torch.set_num_threads(1)  # sums in one order, so that a seed gives the same figures
+            if not trained:
+                _train(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
+            result |= result_of(plan, each, seed, dataset)
+        else:
+            result |= _floor(plan, each, dataset, progress)
+        write_json(file, result)
     progress(1.0)
     return file
 
