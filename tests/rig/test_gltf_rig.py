@@ -176,7 +176,7 @@ def bone_twice(value: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (mirrored, "node Armature has a negative scale"),
+        (mirrored, "node Armature is mirrored or flat"),
         (circular, "node 2 has two parents|the nodes form a circle"),
         (two_parents, "node 2 has two parents"),
         (two_characters, "two skeletons, below Scene and Other; expected one character per file"),

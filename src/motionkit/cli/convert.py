@@ -8,7 +8,7 @@ import click
 
 from motionkit.cli.common import PLACE, gathered, json_option
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, checked_ending, naming
+from motionkit.cli.outputs import Wanted, animation_options, checked_ending, naming
 from motionkit.cli.rig_options import RootMotion, root_options
 
 
@@ -17,19 +17,29 @@ from motionkit.cli.rig_options import RootMotion, root_options
 @click.argument("target", type=PLACE, callback=checked_ending)
 @click.option("--fps", type=FiniteRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
 @root_options
+@animation_options
 @json_option
 @gathered("root_motion", RootMotion)
-def command(source: Path, target: Path, fps: float | None, root_motion: RootMotion, as_json: bool) -> None:
+def command(
+    source: Path,
+    target: Path,
+    fps: float | None,
+    root_motion: RootMotion,
+    name: str | None,
+    alone: bool,
+    as_json: bool,
+) -> None:
     """Convert a motion file; the endings of SOURCE and TARGET name the formats.
 
-    SOURCE is .bvh of any rig, or a .glb with a skinned skeleton and an animation. TARGET is .bvh, .glb (skeleton,
-    body and animation), .vrma (VRM animation, human rigs only), .usda (UsdSkel), .npz or .csv. Lengths become metres
-    (.glb, .vrma, .usda) or centimetres (.npz, .csv), with Y up; from .bvh to .bvh they stay as they are.
+    SOURCE is .bvh of any rig, or a .glb or .vrm with an animation. TARGET is .bvh, .glb (from .glb that file with one
+    more animation, else skeleton, body and animation), .vrma (VRM animation, human rigs only), .usda (UsdSkel), .npz
+    or .csv. Lengths become metres (.glb, .vrma, .usda) or centimetres (.npz, .csv), with Y up; from .bvh to .bvh they
+    stay as they are.
     """
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample
 
-    outputs = Wanted(target, False, as_json).files("", [source])
+    outputs = Wanted(target, False, as_json, name, alone).files("", [source])
     clip = read_clip(source)
     motion = root_motion.applied(clip.motion)
     motion = motion if fps is None else resample(motion, fps)

@@ -20,7 +20,7 @@ from motionkit.cli.common import (
     switch,
 )
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, output_option, shown_name, view_option
+from motionkit.cli.outputs import Wanted, animation_options, output_option, shown_name, view_option
 from motionkit.cli.rig_options import RigChoice, clip_option, map_option, open_rig, rig_option
 from motionkit.names import counted
 
@@ -106,6 +106,7 @@ class Rigs:
     "--ik/--no-ik",
     "Put the feet of the rig on the floor and hold them where those of SOURCE stand; --no-ik copies the pose.",
 )
+@animation_options
 @view_option
 @json_option
 @gathered("rigs", Rigs)

@@ -21,7 +21,7 @@ from motionkit.cli.common import (
     together,
 )
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, view_option
+from motionkit.cli.outputs import Wanted, animation_options, view_option
 from motionkit.cli.rig_options import RigChoice, open_written, written_options
 
 if TYPE_CHECKING:
@@ -114,6 +114,7 @@ synthesis_options: Callable = together(
         "--fps", type=FiniteRange(1, 480), help="Frame rate of the file; the model's 60 by default."
     ),
     written_options,
+    animation_options,
     view_option,
     json_option,
     gathered("choice", open_written),

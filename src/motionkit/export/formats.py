@@ -18,17 +18,21 @@ from motionkit.motion.motion import Motion
 WRITERS: dict[str, str] = {
     ".bvh": "formats:_write_bvh",
     ".glb": "glb:write_glb",
+    ".vrm": "glb:write_vrm",
     ".vrma": "vrma:write_vrma",
     ".usda": "usda:write_usda",
     ".npz": "tables:write_npz",
     ".csv": "tables:write_csv",
 }
-READERS: dict[str, str] = {".bvh": "formats:_read_bvh", ".glb": "formats:_read_glb"}
+READERS: dict[str, str] = {
+    ".bvh": "formats:_read_bvh",
+    ".glb": "formats:_read_glb",
+    ".vrm": "formats:_read_glb",
+}
 # Endings of formats that are not written, and what to use instead.
 INSTEAD: dict[str, str] = {
     ".fbx": "motionkit writes no FBX; write a .glb, and Blender makes an FBX of it (docs/clips.md, FBX)",
     ".gltf": "motionkit writes binary glTF only: use .glb",
-    ".vrm": "a .vrm is an avatar; write its animation as .vrma",
     ".usd": "motionkit writes USD as text: use .usda",
     ".usdc": "motionkit writes USD as text: use .usda",
     ".usdz": "motionkit writes USD as text: use .usda",
@@ -100,7 +104,10 @@ def _read_bvh(path: str | Path) -> Clip:
     return clip.with_motion(clip.motion)
 
 
-def _read_glb(path: str | Path) -> Clip:
-    from motionkit.rig.read_glb import read_glb
+def _read_glb(path: str | Path, clip: str | None = None) -> Clip:
+    from motionkit.rig.character import read_character
+    from motionkit.rig.read_glb import clip_of
 
-    return Clip(read_glb(path), Path(path).stem)
+    character = read_character(path)
+    name, motion = clip_of(character, clip)
+    return Clip(motion, name, character=character)

@@ -14,11 +14,12 @@ from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
-from motionkit.rig.gltf_rig import read_gltf_rig
+from motionkit.rig.character import read_character
 from motionkit.rig.map_file import read_rig_map
 from motionkit.rig.names import map_around
+from motionkit.rig.pose import map_file
 from motionkit.rig.retarget import RetargetReport, retarget
-from motionkit.rig.rig import Rig, make_rig, read_bvh_rig
+from motionkit.rig.rig import Rig, make_rig, read_bvh_rig, top_joint
 from motionkit.rig.to_rig import rig_bvh
 
 GLTF_ENDINGS = (".glb", ".vrm")
@@ -40,12 +41,14 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
         raise SkeletonError(f"{path}: expected a rig, a .bvh, .glb or .vrm file, found {ending}")
     if ending not in GLTF_ENDINGS:
         return read_bvh_rig(path, map_path)
-    found = read_gltf_rig(path)
-    joints = None if map_path is None else read_rig_map(map_path, found.bvh.skeleton)
+    found = read_character(path)
+    joints = None if map_path is None else read_rig_map(map_path, found.skeleton)
     try:
         if joints is None and found.humanoid:
-            joints = map_around(found.bvh.skeleton, found.humanoid, "VRM")
-        return make_rig(found.bvh, Path(path).name, joints)
+            joints = map_around(found.skeleton, found.humanoid, "VRM")
+        joints = joints or map_file(found.bvh({0}))
+        bvh = found.bvh({0, top_joint(found.skeleton, joints)})
+        return replace(make_rig(bvh, Path(path).name, joints), character=found)
     except SkeletonError as error:
         raise SkeletonError(f"{path}: {error}") from None
 
