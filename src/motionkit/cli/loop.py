@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option, remark
+from motionkit.cli.common import PLACE, animation_option, gathered, json_option, remark
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import (
     Wanted,
@@ -34,6 +34,7 @@ from motionkit.errors import MotionkitError
     help="Begin at the origin and face +Z; by default the cycle keeps the place and the heading of CLIP.",
 )
 @root_options
+@animation_option
 @animation_options
 @view_option
 @json_option

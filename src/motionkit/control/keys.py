@@ -207,11 +207,14 @@ def _numbers(where: str, name: str, values: Any, count: int, least: float = -1e5
 def _pose(where: str, folder: Path, entry: Any, model: MotionModel) -> KeyPose:
     from motionkit.rig.retarget import retarget_file
 
-    known = ("file", "seconds")
+    known = ("file", "seconds", "clip")
     if not isinstance(entry, dict) or not isinstance(entry.get("file"), str) or set(entry) - set(known):
         raise ControlError(f'{where}: pose: expected {{"file": "a.bvh", "seconds": 1.5}}')
     seconds = _numbers(where, "pose: seconds", [entry.get("seconds", 0.0)], 1, 0.0, 1e5)[0]
-    motion = resample(retarget_file(folder / entry["file"])[0], model.fps)
+    clip = entry.get("clip")
+    if clip is not None and not isinstance(clip, str):
+        raise ControlError(f"{where}: pose: clip: expected the name of an animation of {entry['file']}")
+    motion = resample(retarget_file(folder / entry["file"], clip=clip)[0], model.fps)
     frame = round(float(seconds) * model.fps)
     if frame >= len(motion) or len(motion) < 2:
         raise ControlError(

@@ -62,7 +62,7 @@ def write_motion(path: str | Path, motion: Motion | Clip) -> None:
 
 
 def read_motion(path: str | Path) -> Motion:
-    """Read the motion of a .bvh file, in its own unit, or of a skinned .glb file, in cm.
+    """Read the motion of a .bvh file, in its own unit, or of a .glb or .vrm file, in cm.
 
     Raises:
         MotionkitError: the ending is unknown or the file cannot be read; the message names the file.
@@ -70,9 +70,14 @@ def read_motion(path: str | Path) -> Motion:
     return read_clip(path).motion
 
 
-def read_clip(path: str | Path) -> Clip:
-    """Read a motion with its name and, from a .bvh file, its channels; raises like read_motion."""
-    clip: Clip = _find(READERS, path, "read")(path)
+def read_clip(path: str | Path, name: str | None = None) -> Clip:
+    """Read a motion with its name and what else its format holds; raises like read_motion.
+
+    Args:
+        path: the file.
+        name: the animation of a .glb or .vrm; needed if it has several.
+    """
+    clip: Clip = _find(READERS, path, "read")(path, name)
     return clip
 
 
@@ -96,7 +101,7 @@ def _write_bvh(path: str | Path, clip: Clip) -> None:
         write_bvh(path, replace(motion_to_bvh(clip.motion, clip.channels), hierarchy=clip.hierarchy))
 
 
-def _read_bvh(path: str | Path) -> Clip:
+def _read_bvh(path: str | Path, name: str | None = None) -> Clip:
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
     bvh = read_bvh(path)
@@ -104,10 +109,10 @@ def _read_bvh(path: str | Path) -> Clip:
     return clip.with_motion(clip.motion)
 
 
-def _read_glb(path: str | Path, clip: str | None = None) -> Clip:
+def _read_glb(path: str | Path, name: str | None = None) -> Clip:
     from motionkit.rig.character import read_character
-    from motionkit.rig.read_glb import clip_of
+    from motionkit.rig.read_glb import CM, motion_of
 
     character = read_character(path)
-    name, motion = clip_of(character, clip)
-    return Clip(motion, name, character=character)
+    called, motion = motion_of(character, name)
+    return Clip(motion.scaled(CM), called, character=character)

@@ -7,7 +7,7 @@ turned into the axes of the node's parent, and applied to the rest rotation of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -74,7 +74,11 @@ class Character:
             for joint, names in enumerate(channels)
             for name in names
         ]
-        return BvhFile(self.skeleton, channels, np.array([values], np.float64), 1.0 / 60.0)
+        return self.named(BvhFile(self.skeleton, channels, np.array([values], np.float64), 1.0 / 60.0))
+
+    def named(self, bvh: BvhFile) -> BvhFile:
+        """A file on these joints that knows which of them the avatar's bone table names."""
+        return replace(bvh, humanoid=self.humanoid or None)
 
     def motion(self, rotations: Array, translations: dict[int, Array], fps: float) -> Motion:
         """The motion, in metres, of local rotations (T, J, 4) and translations (T, 3) of nodes, by joint."""

@@ -1,7 +1,10 @@
-"""Reads the animations of a glTF file as motions on the joints of its character, in cm."""
+"""Reads the animations of a glTF file as motions on the joints of its character."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,9 +22,28 @@ from motionkit.rig.gltf import GltfFile
 CM = 100.0
 FPS = 60.0  # rate of a file whose keys are not evenly spaced, or further than a second apart
 FASTEST, LONGEST = 480.0, 3600.0  # frames per second, and seconds, of the fastest and the longest animation
-MOST_POSES = 2**24  # joints times frames; an hour of 77 joints at 60 fps
+MOST_POSES = 2**23  # joints times frames; an hour of 77 joints at 30 fps
 KEY_WITHIN = 1e-3  # share of the time between keys; a frame this little before a key counts as at the key
 _WIDTHS = {"rotation": 4, "translation": 3, "scale": 3}
+
+
+ALL = "all"  # as a choice: each animation of a file
+_choice: ContextVar[str | None] = ContextVar("choice", default=None)
+
+
+@contextmanager
+def choosing(clip: str | None) -> Iterator[None]:
+    """Within the block, read the animation of this name from files that have several."""
+    token = _choice.set(clip)
+    try:
+        yield
+    finally:
+        _choice.reset(token)
+
+
+def chosen() -> str | None:
+    """The name given to choosing()."""
+    return _choice.get()
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +86,13 @@ def read_glb(path: str | Path, clip: str | None = None) -> Motion:
     Args:
         clip: name of the animation; needed if the file has several.
     """
-    return clip_of(read_character(path), clip)[1]
+    return motion_of(read_character(path), clip)[1].scaled(CM)
 
 
-def clip_of(character: Character, clip: str | None = None) -> tuple[str, Motion]:
-    """The name and the motion, in cm, of an animation of a character; arguments and errors as for read_glb."""
+def motion_of(character: Character, clip: str | None = None) -> tuple[str, Motion]:
+    """The name and the motion, in metres, of an animation of a character; arguments and errors as for read_glb."""
     file = character.tree.file
-    name, animation = _chosen(file, clip)
+    name, animation = _animation(file, clip)
     tracks = _tracks(file, animation, _moving(character))
     if not tracks:
         raise file.fault(f"its animation {visible(name)} moves no joint of the skeleton")
@@ -89,7 +111,7 @@ def clip_of(character: Character, clip: str | None = None) -> tuple[str, Motion]
             places[joint] = values
     motion = character.motion(rotations, places, fps)
     above = [track for track in tracks if track.node not in index and track.path != "scale"]
-    return name, (_carried(character, motion, above, times) if above else motion).scaled(CM)
+    return name, _carried(character, motion, above, times) if above else motion
 
 
 def clip_lengths(file: GltfFile) -> list[tuple[str, float]]:
@@ -111,9 +133,10 @@ def _last_key(file: GltfFile, sampler: dict[str, Any]) -> float:
     return float(largest[0])
 
 
-def _chosen(file: GltfFile, clip: str | None) -> tuple[str, dict[str, Any]]:
-    """The animation of a name, or the only one."""
+def _animation(file: GltfFile, clip: str | None) -> tuple[str, dict[str, Any]]:
+    """The name and the animation of a name, by default the chosen one or the only one."""
     clips = clip_lengths(file)
+    clip = clip or (chosen() if len(clips) > 1 and chosen() != ALL else None)
     told = ", ".join(f"{visible(name)} ({seconds:.2f} s)" for name, seconds in clips)
     if not clips:
         raise file.fault("has no animation; as a rig it can be given with --rig")
