@@ -38,9 +38,14 @@ def write_glb(path: str | Path, clip: Clip) -> None:
 
 def write_vrm(path: str | Path, clip: Clip) -> None:
     """Write the avatar that a motion is on with the motion as an animation; raises MotionkitError without an avatar."""
-    if clip.character is None or not clip.character.humanoid:
+    if clip.character is None:
         raise MotionkitError(
             f"{path}: a .vrm is an avatar: give one with --rig avatar.vrm, or write its animation as .vrma"
+        )
+    if not clip.character.humanoid:
+        source = clip.character.tree.file.path
+        raise MotionkitError(
+            f"{path}: not written: {source} has no humanoid part, as a .vrm has; write a .glb"
         )
     _write_into(path, clip, clip.character)
 
@@ -51,7 +56,11 @@ def _write_into(path: str | Path, clip: Clip, character: Character) -> None:
     if not character.holds(clip.motion):
         raise MotionkitError(f"{path}: not written: the motion has other joints than {file.path}")
     document = file.addition()
-    taken = set() if clip.alone else {entry.get("name") for entry in file.items("animations")}
+    taken = (
+        set()
+        if clip.alone
+        else {name for entry in file.items("animations") if isinstance(name := entry.get("name"), str)}
+    )
     number, name = 2, clip.name
     while name in taken:
         name, number = f"{clip.name}_{number}", number + 1

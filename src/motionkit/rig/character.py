@@ -166,6 +166,9 @@ def read_character(path: str | Path) -> Character:
     humanoid = tree.humanoid()
     nodes = tree.joints(set(humanoid.values()))
     index = {node: joint for joint, node in enumerate(nodes)}
+    apart = [name for name, node in humanoid.items() if node not in index]
+    if apart:
+        raise tree.fault(f"the avatar's bone table has a {apart[0]} that is not part of its skeleton")
     parents = tuple(index.get(tree.parents[node], -1) for node in nodes)
     places = np.stack([tree.world[node][:3, 3] for node in nodes])
     offsets = places - np.stack([places[parent] if parent >= 0 else np.zeros(3) for parent in parents])
