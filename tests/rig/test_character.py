@@ -226,6 +226,39 @@ def test_joints_in_between_and_beside_keep_their_rest(tmp_path: Path, walk: Moti
     assert moved == ["Hips"] and not {"sword", "Scene"} & turned
 
 
+@pytest.mark.parametrize("where", ["beside", "along"])
+def test_twist_is_spread(tmp_path: Path, walk: Motion, where: str) -> None:
+    """Half-way along the upper arm there is half its twist; nothing else moves for it."""
+    axis, angle = np.array([1.0, 0.0, 0.0]), 1.2
+    value = character()
+    arm, fore = (JOINT_NAMES.index(name) + 2 for name in ("LeftArm", "LeftForeArm"))
+    half = (0.5 * np.array(value["nodes"][fore]["translation"])).tolist()
+    value["nodes"].append({"name": "LeftArmTwist", "translation": half})
+    if where == "along":
+        value["nodes"][-1]["children"], value["nodes"][arm]["children"] = [fore], []
+        value["nodes"][fore]["translation"] = half
+    value["nodes"][arm]["children"].append(len(value["nodes"]) - 1)
+    value["skins"][0]["joints"].append(len(value["nodes"]) - 1)
+    write(tmp_path / "hero.glb", value)
+    rig = read_rig(tmp_path / "hero.glb")
+    rotations = walk.local_rotations.copy()
+    rotations[:, JOINT_NAMES.index("LeftArm")] = np.float32([np.cos(angle / 2), *(np.sin(angle / 2) * axis)])
+    made = on_rig(replace(walk, local_rotations=rotations), rig, ik=False)
+    names = rig.skeleton.names
+    turns, places = motion_kinematics(made)
+    upper, twisted = (turns[:, names.index(n)] for n in ("LeftArm", "LeftArmTwist"))
+    base, shares = turns[:, names.index("LeftShoulder")], (1.0, 0.5) if where == "beside" else (0.0, 1.0)
+    for found, share in zip((upper, twisted), shares, strict=True):
+        assert np.abs(quat_angle(base, found) - share * angle).max() < 0.02
+    write(tmp_path / "plain.glb", character())
+    bare = on_rig(replace(walk, local_rotations=rotations), read_rig(tmp_path / "plain.glb"), ik=False)
+    for name in ("LeftForeArm", "LeftHand"):
+        found = motion_kinematics(bare)
+        joint, own = bare.skeleton.names.index(name), names.index(name)
+        assert float(quat_angle(turns[:, own], found[0][:, joint]).max()) < 1e-3
+        assert np.abs(places[:, own] - found[1][:, joint]).max() < 1e-4
+
+
 @pytest.mark.parametrize("version", ["0.x", "1.0"])
 def test_avatars(tmp_path: Path, walk: Motion, version: str) -> None:
     value, table = character(), {bone: {"node": JOINT_NAMES.index(name) + 2} for name, bone in VRM.items()}
