@@ -219,8 +219,8 @@ def _identity(path: Path) -> object:
 # ---- folders ----
 
 
-def files_below(folder: str | Path, ending: str) -> list[Path]:
-    """All files below a folder whose names end in `ending` (in any case), sorted.
+def files_below(folder: str | Path, ending: str | tuple[str, ...]) -> list[Path]:
+    """All files below a folder whose names end in `ending`, or one of them (in any case), sorted.
 
     Links to folders are followed. A folder that can be reached in several ways is listed once: by its real path if that
     is below the folder, else by the first link.

@@ -17,6 +17,7 @@ from motionkit.errors import DatasetError, MotionkitError, OverwriteError
 from motionkit.files import atomic_write, check_foreign, files_below
 from motionkit.locks import held
 from motionkit.names import about, counted, duration
+from motionkit.rig.read_file import ENDINGS
 
 if TYPE_CHECKING:
     from motionkit.models.model import MotionModel
@@ -210,7 +211,7 @@ def _made_dataset(target: Path) -> Dataset | None:
 def _tell_changed(data: Path, target: Path, watcher: Watcher) -> None:
     """Report files that are newer than the dataset; the dataset stays as it is."""
     made = (target / DATASET / MANIFEST).stat().st_mtime
-    newer = [path for path in files_below(data, ".bvh") if path.stat().st_mtime > made]
+    newer = [path for path in files_below(data, ENDINGS) if path.stat().st_mtime > made]
     if newer:
         more = f" and {len(newer) - 1} more are" if len(newer) > 1 else " is"
         watcher.tell(

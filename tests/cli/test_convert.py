@@ -47,7 +47,7 @@ def test_convert(motionkit, walk: Motion, tmp_path: Path) -> None:
 def test_synthesize_and_follow_path_write_every_format(
     motionkit, tiny_model_file: Path, tmp_path: Path
 ) -> None:
-    for ending in WRITERS:
+    for ending in set(WRITERS) - {".vrm"}:
         words = ("--types", "walking:0.2,idle:0.1", "--model", tiny_model_file, "-o", f"a{ending}")
         assert motionkit("synthesize", *words).code == 0
     assert np.load(tmp_path / "a.npz")["types"].tolist() == ["walking"] * 12 + ["idle"] * 6

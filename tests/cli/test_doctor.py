@@ -40,7 +40,7 @@ def test_a_folder_without_a_usable_file_is_not_called_well(motionkit, tmp_path: 
 
 def test_an_empty_folder(motionkit, tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
-    assert motionkit("doctor", "none").failed_with("no .bvh files found")
+    assert motionkit("doctor", "none").failed_with("no .bvh, .glb or .vrm files found")
 
 
 def test_files_that_are_not_labelled_are_no_fault(motionkit, clips_folder: Path, tmp_path: Path) -> None:

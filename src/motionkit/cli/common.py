@@ -75,6 +75,24 @@ model_option = click.option(
 )
 
 
+def _choose(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    """Callback of --clip: read the animation of this name while the command runs."""
+    if value is not None:
+        from motionkit.rig.read_glb import choosing
+
+        context.with_resource(choosing(value))
+
+
+def named_animation_option(text: str) -> Callable:
+    return click.option("--clip", "animation", expose_value=False, is_eager=True, callback=_choose, help=text)
+
+
+animation_option = named_animation_option("Animation to read from a .glb or .vrm that has several.")
+animations_option = named_animation_option(
+    "Animation to read from a .glb or .vrm that has several; all takes each of them."
+)
+
+
 def seed_option(default: int = 0) -> Callable:
     """The --seed option of every command that draws random numbers."""
     return option(

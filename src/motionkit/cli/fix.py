@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option, switch
-from motionkit.cli.outputs import Wanted, clip_output_option, naming, shown_name
+from motionkit.cli.common import PLACE, animation_option, gathered, json_option, switch
+from motionkit.cli.outputs import Wanted, animation_options, clip_output_option, naming, shown_name
 from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 @switch("--trembling/--no-trembling", "Filter the trembling of markers.")
 @switch("--floor/--no-floor", "Set the floor to height zero.")
 @switch("--sliding/--no-sliding", "Hold feet still while they touch the floor.")
+@animation_option
+@animation_options
 @click.option("--view", is_flag=True, help="Also write a web page that plays both motions, and open it.")
 @json_option
 @gathered("wanted", Wanted)

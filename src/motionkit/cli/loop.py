@@ -6,9 +6,16 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option, remark
+from motionkit.cli.common import PLACE, animation_option, gathered, json_option, remark
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, clip_output_option, naming, shown_name, view_option
+from motionkit.cli.outputs import (
+    Wanted,
+    animation_options,
+    clip_output_option,
+    naming,
+    shown_name,
+    view_option,
+)
 from motionkit.cli.rig_options import RootMotion, root_options
 from motionkit.errors import MotionkitError
 
@@ -27,6 +34,8 @@ from motionkit.errors import MotionkitError
     help="Begin at the origin and face +Z; by default the cycle keeps the place and the heading of CLIP.",
 )
 @root_options
+@animation_option
+@animation_options
 @view_option
 @json_option
 @gathered("root_motion", RootMotion)

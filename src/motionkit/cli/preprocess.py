@@ -14,6 +14,7 @@ from motionkit.cli.common import (
     EXISTING,
     FOLDER,
     Stages,
+    animations_option,
     json_option,
     labels_option,
     option,
@@ -58,6 +59,7 @@ SHOWN_SKIPS = 20  # skipped files that are listed by name
     type=click.Choice(LAYOUT_CHOICES),
     help="Version of the 276 features; the preset tptn-paper needs expmap-root-1.",
 )
+@animations_option
 @switch("--smooth/--raw", "Filter out marker jitter (7 Hz low-pass), or keep the recorded rotations.")
 @switch(
     "--level/--no-level",

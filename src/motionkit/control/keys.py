@@ -217,12 +217,15 @@ def _numbers(where: str, name: str, values: Any, count: int, least: float = -1e5
 
 
 def _pose(where: str, entry: Any, files: _Files) -> KeyPose:
-    known = ("file", "seconds")
+    known = ("file", "seconds", "clip")
     if not isinstance(entry, dict) or not isinstance(entry.get("file"), str) or set(entry) - set(known):
         raise ControlError(f'{where}: pose: expected {{"file": "a.bvh", "seconds": 1.5}}')
     seconds = _numbers(where, "pose: seconds", [entry.get("seconds", 0.0)], 1, 0.0, 1e5)[0]
+    clip = entry.get("clip")
+    if clip is not None and not isinstance(clip, str):
+        raise ControlError(f"{where}: pose: clip: expected the name of an animation of {entry['file']}")
     try:
-        return files.pose(entry["file"], float(seconds))
+        return files.pose(entry["file"], float(seconds), clip)
     except ControlError as error:
         raise ControlError(f"{where}: pose: {error}") from None
 
@@ -232,23 +235,23 @@ class _Files:
 
     def __init__(self, folder: Path, model: MotionModel) -> None:
         self.folder, self.model = folder, model
-        self._read: dict[str, tuple[Motion, EncodedMotion]] = {}
+        self._read: dict[tuple[str, str | None], tuple[Motion, EncodedMotion]] = {}
 
-    def pose(self, name: str, seconds: float) -> KeyPose:
+    def pose(self, name: str, seconds: float, animation: str | None = None) -> KeyPose:
         """The pose of a file at a time. Raises ControlError if the file is no motion, or shorter."""
-        if name not in self._read:
-            self._read = {name: self._open(name)}
-        motion, encoded = self._read[name]
+        if (name, animation) not in self._read:
+            self._read = {(name, animation): self._open(name, animation)}
+        motion, encoded = self._read[name, animation]
         frame = round(seconds * self.model.fps)
         if frame >= len(motion) or len(motion) < 2:
             raise ControlError(f"{name} lasts {motion.seconds:.2f} s, found {seconds:g} s")
         return clip_pose(self.model, motion, frame, encoded)[0]
 
-    def _open(self, name: str) -> tuple[Motion, EncodedMotion]:
+    def _open(self, name: str, animation: str | None) -> tuple[Motion, EncodedMotion]:
         from motionkit.rig.retarget import retarget_file
 
         try:
-            clip, _ = retarget_file(self.folder / name)
+            clip, _ = retarget_file(self.folder / name, clip=animation)
         except BvhError as error:
             if error.line is None:
                 raise

@@ -157,7 +157,7 @@ def read_source(source: SourceFile, options: PreprocessOptions, plant: bool = Tr
         plant: as for retarget.
     """
     fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
-    motion, rig = retarget_file(source.path, options.scale, fps, options.own_bodies, plant)
+    motion, rig = retarget_file(source.path, options.scale, fps, options.own_bodies, plant, source.clip)
     cleaned, cleaning = clean(motion)
     whole = resample(cleaned, FPS)
     leaps = find_leaps(motion_kinematics(whole)[1])

@@ -44,6 +44,7 @@ class BvhFile:
         frame_time: seconds per frame, as declared.
         hierarchy: text to write as the hierarchy section, in place of one made from skeleton and channels; None in a
             file from read_bvh.
+        humanoid: canonical limb joints, hips and head to joint indices, where the file itself says so (VRM).
     """
 
     skeleton: Skeleton
@@ -51,6 +52,7 @@ class BvhFile:
     values: NDArray[np.float64]
     frame_time: float
     hierarchy: str | None = None
+    humanoid: dict[str, int] | None = None
 
     @property
     def fps(self) -> float:
