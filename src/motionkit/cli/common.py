@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motionkit.names import visible
+from motionkit.reading import reading
 from motionkit.seeds import LARGEST_SEED
 
 if TYPE_CHECKING:
@@ -72,6 +73,23 @@ def gathered(name: str, record: Callable[..., Any]) -> Callable:
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 model_option = click.option(
     "--model", "model_path", type=EXISTING_FILE, help="Model file; the bundled model by default."
+)
+
+
+def read_strictly(context: click.Context, parameter: click.Parameter, value: bool) -> bool:
+    """Callback of --strict: read files strictly while the command runs."""
+    if value:
+        context.with_resource(reading(strict=True))
+    return value
+
+
+strict_option = click.option(
+    "--strict",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=read_strictly,
+    help="Refuse clips with faults that are otherwise settled and noted, such as a wrong frame count or NaN.",
 )
 
 

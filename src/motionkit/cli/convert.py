@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option
+from motionkit.cli.common import PLACE, gathered, json_option, strict_option
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import Wanted, checked_ending, naming
 from motionkit.cli.rig_options import RootMotion, root_options
@@ -16,6 +16,7 @@ from motionkit.cli.rig_options import RootMotion, root_options
 @click.argument("source", type=PLACE)
 @click.argument("target", type=PLACE, callback=checked_ending)
 @click.option("--fps", type=FiniteRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
+@strict_option
 @root_options
 @json_option
 @gathered("root_motion", RootMotion)

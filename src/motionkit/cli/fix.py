@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option, switch
+from motionkit.cli.common import PLACE, gathered, json_option, strict_option, switch
 from motionkit.cli.outputs import Wanted, clip_output_option, naming, shown_name
 from motionkit.errors import MotionkitError
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 @switch("--trembling/--no-trembling", "Filter the trembling of markers.")
 @switch("--floor/--no-floor", "Set the floor to height zero.")
 @switch("--sliding/--no-sliding", "Hold feet still while they touch the floor.")
+@strict_option
 @click.option("--view", is_flag=True, help="Also write a web page that plays both motions, and open it.")
 @json_option
 @gathered("wanted", Wanted)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option, remark
+from motionkit.cli.common import PLACE, gathered, json_option, remark, strict_option
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import Wanted, clip_output_option, naming, shown_name, view_option
 from motionkit.cli.rig_options import RootMotion, root_options
@@ -26,6 +26,7 @@ from motionkit.errors import MotionkitError
     is_flag=True,
     help="Begin at the origin and face +Z; by default the cycle keeps the place and the heading of CLIP.",
 )
+@strict_option
 @root_options
 @view_option
 @json_option

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import EXISTING, PLACE, Stages, json_option, print_json, remark, say
+from motionkit.cli.common import EXISTING, PLACE, Stages, json_option, print_json, read_strictly, remark, say
 from motionkit.errors import MotionkitError
 
 
@@ -14,7 +14,12 @@ from motionkit.errors import MotionkitError
 @click.argument("source", type=EXISTING)
 @click.argument("target", required=False, type=PLACE)
 @click.option("-o", "--output", type=PLACE, help="TARGET, as other commands have it.")
-@click.option("--strict", is_flag=True, help="Folders: stop at the first file that cannot be mirrored.")
+@click.option(
+    "--strict",
+    is_flag=True,
+    callback=read_strictly,
+    help="Settle no fault of a file; in folders, stop at the first.",
+)
 @json_option
 def command(source: Path, target: Path | None, output: Path | None, strict: bool, as_json: bool) -> None:
     """Write the mirror image of a BVH file: same hierarchy and channels, left and right swapped.

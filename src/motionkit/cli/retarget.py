@@ -17,6 +17,7 @@ from motionkit.cli.common import (
     print_json,
     remark,
     stdout_console,
+    strict_option,
     switch,
 )
 from motionkit.cli.finite import FiniteRange
@@ -106,6 +107,7 @@ class Rigs:
     "--ik/--no-ik",
     "Put the feet of the rig on the floor and hold them where those of SOURCE stand; --no-ik copies the pose.",
 )
+@strict_option
 @view_option
 @json_option
 @gathered("rigs", Rigs)

@@ -237,6 +237,7 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], Stan
         len(cleaning.pops) + len(reading.leaps),
         notes=(
             *filter(None, (beyond_end(source.segments, reading.frames), missing)),
+            *(note.partition(": ")[2] for note in reading.notes),
             *rig.notes,
             *cleaning.notes,
         ),
