@@ -93,6 +93,43 @@ strict_option = click.option(
 )
 
 
+def _read_upright(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    if value:
+        context.with_resource(reading(up=value))
+
+
+def _read_unit(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    if value:
+        from motionkit.rig.units import UNITS, named_unit
+
+        try:
+            context.with_resource(reading(cm=named_unit(value)))
+        except ValueError:
+            known = ", ".join(unit.symbol for unit in UNITS)
+            raise click.BadParameter(f"expected {known} or the cm per unit, found {value!r}") from None
+
+
+# How the clips of a command are read, in place of what is found in them.
+clip_options = together(
+    strict_option,
+    click.option(
+        "--up",
+        type=click.Choice(["X", "Y", "Z", "-X", "-Y", "-Z"], case_sensitive=False),
+        is_eager=True,
+        expose_value=False,
+        callback=_read_upright,
+        help="Axis of the clips that points up; found by default.",
+    ),
+    click.option(
+        "--unit",
+        is_eager=True,
+        expose_value=False,
+        callback=_read_unit,
+        help="Unit of the clips: cm, m, mm, dm, inches, or the centimetres per unit; found by default.",
+    ),
+)
+
+
 def seed_option(default: int = 0) -> Callable:
     """The --seed option of every command that draws random numbers."""
     return option(

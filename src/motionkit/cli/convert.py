@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option, strict_option
+from motionkit.cli.common import PLACE, clip_options, gathered, json_option
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import Wanted, checked_ending, naming
 from motionkit.cli.rig_options import RootMotion, root_options
@@ -16,7 +16,7 @@ from motionkit.cli.rig_options import RootMotion, root_options
 @click.argument("source", type=PLACE)
 @click.argument("target", type=PLACE, callback=checked_ending)
 @click.option("--fps", type=FiniteRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
-@strict_option
+@clip_options
 @root_options
 @json_option
 @gathered("root_motion", RootMotion)
@@ -29,6 +29,7 @@ def command(source: Path, target: Path, fps: float | None, root_motion: RootMoti
     """
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample
+    from motionkit.rig.upright import taken
 
     outputs = Wanted(target, False, as_json).files("", [source])
     clip = read_clip(source)
@@ -37,5 +38,15 @@ def command(source: Path, target: Path, fps: float | None, root_motion: RootMoti
     with naming(source):
         outputs.write(clip.with_motion(motion))
     joints, frames = len(motion.skeleton), len(motion)
-    facts = {"file": source, "output": target, "frames": frames, "fps": motion.fps, "joints": joints}
-    outputs.report(facts, [f"wrote {target}: {joints} joints, {frames} frames at {motion.fps:g} fps"])
+    took = taken(clip.motion)
+    facts = {
+        "file": source,
+        "output": target,
+        "frames": frames,
+        "fps": motion.fps,
+        "joints": joints,
+        "taken": took,
+    }
+    outputs.report(
+        facts, [f"wrote {target}: {joints} joints, {frames} frames at {motion.fps:g} fps", f"  {took}"]
+    )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option, remark, strict_option
+from motionkit.cli.common import PLACE, clip_options, gathered, json_option, remark
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import Wanted, clip_output_option, naming, shown_name, view_option
 from motionkit.cli.rig_options import RootMotion, root_options
@@ -26,7 +26,7 @@ from motionkit.errors import MotionkitError
     is_flag=True,
     help="Begin at the origin and face +Z; by default the cycle keeps the place and the heading of CLIP.",
 )
-@strict_option
+@clip_options
 @root_options
 @view_option
 @json_option
@@ -42,6 +42,7 @@ def command(
     """
     from motionkit.editing.loop import make_loop
     from motionkit.export.formats import read_clip
+    from motionkit.rig.upright import taken
     from motionkit.view.figure_data import Shown
 
     wanted.check()
@@ -57,5 +58,6 @@ def command(
         remark(note)
     cut = {"start": loop.start, "end": loop.end, "seconds": loop.seconds, "difference_cm": loop.difference}
     length = f"frames {loop.start} to {loop.end} of {clip.name}, {loop.seconds:.2f} s"
-    lines = [f"wrote {shown_name(outputs.file)}: {length}", f"  {loop.seam.sentence()}"]
-    outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict()}, lines)
+    took = taken(source.motion)
+    lines = [f"wrote {shown_name(outputs.file)}: {length}", f"  {loop.seam.sentence()}", f"  {took}"]
+    outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict(), "taken": took}, lines)

@@ -13,11 +13,11 @@ from motionkit.cli.common import (
     EXISTING_FILE,
     PLACE,
     Stages,
+    clip_options,
     json_option,
     option,
     print_json,
     say,
-    strict_option,
 )
 from motionkit.cli.outputs import default_output, naming
 from motionkit.cli.showing import open_in_browser
@@ -64,7 +64,7 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
     type=click.IntRange(160, 8000),
     help="Width in pixels: contact sheet 600 to 8000 (default 1800), GIF (480) or video (960) 160 to 3840.",
 )
-@strict_option
+@clip_options
 @json_option
 def command(
     clips: tuple[Path, ...],

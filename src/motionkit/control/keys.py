@@ -213,10 +213,13 @@ def _pose(where: str, folder: Path, entry: Any, model: MotionModel) -> KeyPose:
     seconds = _numbers(where, "pose: seconds", [entry.get("seconds", 0.0)], 1, 0.0, 1e5)[0]
     motion = resample(retarget_file(folder / entry["file"])[0], model.fps)
     frame = round(float(seconds) * model.fps)
-    if frame >= len(motion) or len(motion) < 2:
+    if frame >= len(motion):
         raise ControlError(
             f"{where}: pose: {entry['file']} lasts {motion.seconds:.2f} s, found {seconds:g} s"
         )
+    if len(motion) == 1:  # a pose; it stands still
+        rotations, roots = np.repeat(motion.local_rotations, 2, axis=0), np.repeat(motion.root_positions, 2, axis=0)
+        motion = replace(motion, local_rotations=rotations, root_positions=roots)
     return clip_pose(model, motion, frame)[0]
 
 
