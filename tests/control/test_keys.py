@@ -16,6 +16,7 @@ from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import ControlError, MotionkitError
 from motionkit.models.model import MotionModel
+from motionkit.motion.bvh import write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.reach import reach
@@ -209,7 +210,7 @@ def test_what_keys_may_not_be(tiny_model: MotionModel, tmp_path: Path, value: ob
 
 
 def test_a_file_of_one_frame_is_a_pose(tiny_model: MotionModel, tmp_path: Path) -> None:
-    write_bvh(tmp_path / "pose.bvh", read_motion(RUN).cut(7, 8))
+    write_bvh(tmp_path / "pose.bvh", mk.read(RUN).cut(7, 8))
     (key,) = read_keys(write(tmp_path, {"time": 1, "pose": {"file": "pose.bvh"}}), tiny_model)
     assert key.pose is not None and not key.pose.step.any() and np.abs(key.pose.turns).max() < 1e-4
 

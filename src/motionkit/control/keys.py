@@ -218,7 +218,10 @@ def _pose(where: str, folder: Path, entry: Any, model: MotionModel) -> KeyPose:
             f"{where}: pose: {entry['file']} lasts {motion.seconds:.2f} s, found {seconds:g} s"
         )
     if len(motion) == 1:  # a pose; it stands still
-        rotations, roots = np.repeat(motion.local_rotations, 2, axis=0), np.repeat(motion.root_positions, 2, axis=0)
+        rotations, roots = (
+            np.repeat(motion.local_rotations, 2, axis=0),
+            np.repeat(motion.root_positions, 2, axis=0),
+        )
         motion = replace(motion, local_rotations=rotations, root_positions=roots)
     return clip_pose(model, motion, frame)[0]
 
