@@ -211,6 +211,12 @@ def test_what_keys_may_not_be(tiny_model: MotionModel, tmp_path: Path, value: ob
     assert "keys.json" in str(fault.value) and "\n" not in str(fault.value)
 
 
+def test_a_file_of_one_frame_is_a_pose(tiny_model: MotionModel, tmp_path: Path) -> None:
+    write_bvh(tmp_path / "pose.bvh", mk.read(RUN).cut(7, 8))
+    (key,) = read_keys(write(tmp_path, {"time": 1, "pose": {"file": "pose.bvh"}}), tiny_model)
+    assert key.pose is not None and not key.pose.step.any() and np.abs(key.pose.turns).max() < 1e-4
+
+
 def test_files_that_are_not_there(tiny_model: MotionModel, tmp_path: Path) -> None:
     with pytest.raises(MotionkitError, match=r"gone\.bvh"):
         read_keys(write(tmp_path, {"time": 1, "pose": {"file": "gone.bvh"}}), tiny_model)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, animations_option, gathered, json_option
+from motionkit.cli.common import PLACE, animations_option, clip_options, gathered, json_option
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import Wanted, animation_options, checked_ending, naming
 from motionkit.cli.rig_options import RootMotion, root_options
@@ -16,6 +16,7 @@ from motionkit.cli.rig_options import RootMotion, root_options
 @click.argument("source", type=PLACE)
 @click.argument("target", type=PLACE, callback=checked_ending)
 @click.option("--fps", type=FiniteRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
+@clip_options
 @root_options
 @animations_option
 @animation_options
@@ -39,6 +40,7 @@ def command(
     """
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample
+    from motionkit.rig.upright import taken
 
     for clip_name, file in _targets(source, target):
         outputs = Wanted(file, False, as_json, name, alone).files("", [source])
@@ -47,9 +49,18 @@ def command(
         motion = motion if fps is None else resample(motion, fps)
         with naming(source):
             outputs.write(clip.with_motion(motion))
-        joints, frames = len(motion.skeleton), len(motion)
-        facts = {"file": source, "output": file, "frames": frames, "fps": motion.fps, "joints": joints}
-        outputs.report(facts, [f"wrote {file}: {joints} joints, {frames} frames at {motion.fps:g} fps"])
+        joints, frames, took = len(motion.skeleton), len(motion), taken(clip.motion)
+        facts = {
+            "file": source,
+            "output": file,
+            "frames": frames,
+            "fps": motion.fps,
+            "joints": joints,
+            "taken": took,
+        }
+        outputs.report(
+            facts, [f"wrote {file}: {joints} joints, {frames} frames at {motion.fps:g} fps", f"  {took}"]
+        )
 
 
 def _targets(source: Path, target: Path) -> list[tuple[str | None, Path]]:

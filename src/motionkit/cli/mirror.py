@@ -13,6 +13,7 @@ from motionkit.cli.common import (
     animation_option,
     json_option,
     print_json,
+    read_strictly,
     remark,
     say,
 )
@@ -23,7 +24,12 @@ from motionkit.errors import MotionkitError
 @click.argument("source", type=EXISTING)
 @click.argument("target", required=False, type=PLACE)
 @click.option("-o", "--output", type=PLACE, help="TARGET, as other commands have it.")
-@click.option("--strict", is_flag=True, help="Folders: stop at the first file that cannot be mirrored.")
+@click.option(
+    "--strict",
+    is_flag=True,
+    callback=read_strictly,
+    help="Settle no fault of a file; in folders, stop at the first.",
+)
 @animation_option
 @json_option
 def command(source: Path, target: Path | None, output: Path | None, strict: bool, as_json: bool) -> None:

@@ -18,6 +18,7 @@ from motionkit.cli.common import (
     print_json,
     remark,
     stdout_console,
+    strict_option,
     switch,
 )
 from motionkit.cli.finite import FiniteRange
@@ -109,6 +110,7 @@ class Rigs:
     "Put the feet of the rig on the floor and hold them where those of SOURCE stand; --no-ik copies the pose.",
 )
 @animation_options
+@strict_option
 @view_option
 @json_option
 @gathered("rigs", Rigs)

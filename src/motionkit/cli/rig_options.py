@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import EXISTING_FILE, gathered, option, together
+from motionkit.cli.common import EXISTING_FILE, gathered, option, strict_option, together
 
 if TYPE_CHECKING:
     from motionkit.export.clip import Clip
@@ -147,5 +147,5 @@ def open_written(
     return replace(open_rig(rig_path, map_path, clip_path), way=RootMotion(in_place, root))
 
 
-rig_options = together(rig_option, map_option, clip_option, gathered("choice", open_rig))
+rig_options = together(rig_option, map_option, clip_option, strict_option, gathered("choice", open_rig))
 written_options = together(root_options, rig_option, map_option, clip_option)

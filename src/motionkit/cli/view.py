@@ -14,6 +14,7 @@ from motionkit.cli.common import (
     PLACE,
     Stages,
     animation_option,
+    clip_options,
     json_option,
     option,
     print_json,
@@ -65,6 +66,7 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
     help="Width in pixels: contact sheet 600 to 8000 (default 1800), GIF (480) or video (960) 160 to 3840.",
 )
 @animation_option
+@clip_options
 @json_option
 def command(
     clips: tuple[Path, ...],

@@ -243,7 +243,7 @@ class _Files:
             self._read = {(name, animation): self._open(name, animation)}
         motion, encoded = self._read[name, animation]
         frame = round(seconds * self.model.fps)
-        if frame >= len(motion) or len(motion) < 2:
+        if frame >= len(motion):
             raise ControlError(f"{name} lasts {motion.seconds:.2f} s, found {seconds:g} s")
         return clip_pose(self.model, motion, frame, encoded)[0]
 
@@ -258,6 +258,11 @@ class _Files:
             # Not what it found: keys from others could name a private file.
             raise ControlError(f"{name}: no BVH file that can be read, at line {error.line}") from None
         motion = resample(clip, self.model.fps)
+        if len(motion) == 1:  # a pose; it stands still
+            turns, places = (
+                np.repeat(each, 2, 0) for each in (motion.local_rotations, motion.root_positions)
+            )
+            motion = replace(motion, local_rotations=turns, root_positions=places)
         return motion, encode_motion(motion, self.model.reference_rotations, self.model.config.layout)
 
 
