@@ -17,8 +17,9 @@ from motionkit.features.reference import PAUSE
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import RUN_SPEED, MotionKind
 
-# Seconds of a stand before a performance, of a run-up, of the least and of the usual stand at the end; chosen.
-STAND_BEFORE, RUN_UP, LEAST_REST, REST = 0.5, 0.75, 0.5, 1.0
+# Seconds of a stand before a performance, of a run-up, of the least and of the usual stand at the end; chosen. Strikes
+# and jumps get more, because the first may take longer than the mean.
+STAND_BEFORE, RUN_UP, LEAST_REST, REST, REST_OF_EVENTS = 0.5, 0.75, 0.5, 1.0, 1.5
 # Share of the speed at which a performance was begun that the body must have; a slower one needs a run-up.
 FAST_ENOUGH = 0.6
 
@@ -32,9 +33,9 @@ def natural_seconds(model: MotionModel, names: Sequence[str]) -> list[float]:
     for number, name in enumerate(names):
         seconds = model.phase_seconds(name)
         if seconds and _stages(model):
-            if model.kind(name) is MotionKind.PERFORMANCE:
-                seconds += _before(model, _lead(model, names[number - 1] if number else None, name))
-            seconds += REST if number == len(names) - 1 else 0.0
+            seconds += _before(model, _lead(model, names[number - 1] if number else None, name))
+            if number == len(names) - 1:
+                seconds += REST if model.kind(name) is MotionKind.PERFORMANCE else REST_OF_EVENTS
         out.append(seconds)
     return out
 
@@ -42,8 +43,8 @@ def natural_seconds(model: MotionModel, names: Sequence[str]) -> list[float]:
 def staged(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = None) -> list[TypePart]:
     """Add stands and run-ups to the parts with performances, within their seconds.
 
-    A motion that begins with a performance begins standing, or running where the performance was recorded at a run; so
-    does any performance that the body is too slow for. Only whole performances are shown. Then the next part begins, or
+    A motion that begins with a performance, strike or jump begins standing, or running where the performance was
+    recorded at a run; so does any performance that the body is too slow for. Only whole performances are shown. Then the next part begins, or
     the body stands. Parts shorter than all this stay as they are.
 
     Args:
@@ -59,11 +60,12 @@ def staged(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = 
     left = 0.0
     for number, part in enumerate(parts):
         seconds, left = round(part.seconds * model.fps) / model.fps + left, 0.0
-        performed = model.kind(part.type) is MotionKind.PERFORMANCE
-        lead = _lead(model, out[-1].type if out else None, part.type, shown) if performed else ""
+        lead = _lead(model, out[-1].type if out else None, part.type, shown)
         before, length = _before(model, lead), model.phase_seconds(part.type)
-        if not performed or seconds < before + length:
-            out.append(TypePart(part.type, seconds))
+        if model.kind(part.type) is not MotionKind.PERFORMANCE or seconds < before + length:
+            leads = bool(lead) and seconds >= before + length
+            out += [TypePart(lead, before)] if leads else []
+            out.append(TypePart(part.type, seconds - before if leads else seconds))
             continue
         last = number + 1 == len(parts)
         again = _lead(model, part.type, part.type)
@@ -122,16 +124,21 @@ def _before(model: MotionModel, lead: str) -> float:
 
 
 def _lead(model: MotionModel, before: str | None, kind: str, shown: Shown | None = None) -> str:
-    """The type that leads to a performance: a stand, a run, or none.
+    """The type that leads to a performance, strike or jump: a stand, a run, or none.
+
+    Strikes and jumps can begin at any speed (RecordingChoice), so only a stand at the beginning leads to them.
 
     Args:
         before: the type before it; None at the beginning.
         shown: what the clip shows that the motion continues, if any.
     """
+    begins = before is None and shown is None
+    if model.kind(kind) is not MotionKind.PERFORMANCE:
+        return str(usual_gaits(model).stand) if begins and model.kind(kind) is MotionKind.EVENTS else ""
     clips = model.types[kind].reference_clips
     begun = float(np.median([forward_speeds(clip.ground, model.fps)[0] for clip in clips]))
     runs = begun > RUN_SPEED
-    if before is None and shown is None:
+    if begins:
         return steered_type(model, (0.0, begun), 0.0) if runs else str(usual_gaits(model).stand)
     if before is not None:
         gait = model.types[before].gait
