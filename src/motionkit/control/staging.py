@@ -101,8 +101,9 @@ def rested(model: MotionModel, plan: Plan, choice: int = 0) -> Plan:
     last = plan.segments[-1]
     if not _stages(model) or model.kind(last.type) is not MotionKind.EVENTS:
         return plan
-    shown = plan_controls(model, plan, choice).phase[last.first :] >= 0.0
-    ends = np.flatnonzero(shown[:-1] & ~shown[1:]) + 1 + AFTER_EVENT
+    phase = plan_controls(model, plan, choice).phase[last.first :]
+    # A phase ends where it becomes negative, or where the next one follows at once.
+    ends = np.flatnonzero((phase[:-1] >= 0.0) & (phase[1:] < phase[:-1])) + 1 + AFTER_EVENT
     ends = ends[ends <= last.count - round(LEAST_REST * model.fps)]
     if not len(ends):
         return plan
