@@ -82,7 +82,9 @@ def staged(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = 
             rest = 0.0
         out += [TypePart(lead, before)] if lead else []
         if again:
-            out += [TypePart(part.type, length), TypePart(again, RUN_UP)] * more + [TypePart(part.type, length)]
+            out += [TypePart(part.type, length), TypePart(again, RUN_UP)] * more + [
+                TypePart(part.type, length)
+            ]
         else:
             out.append(TypePart(part.type, length + more * period))
         if not last:
