@@ -149,7 +149,11 @@ def _turn_speeds(model: MotionModel, path: Path2D) -> Array:
 
 
 def lateral_limit(model: MotionModel, kind: str) -> float:
-    """Acceleration in cm/s^2 towards the inside of a curve that recordings of a type show, at least PROFILE.lateral."""
+    """Acceleration in cm/s^2 towards the inside of a curve that recordings of a type show, at least PROFILE.lateral.
+
+    Raises ControlError for an unknown type.
+    """
+    model.type_id(kind)
     span = round(PROFILE.stride * model.fps)
     found = [np.zeros(1)]
     for clip in model.types[kind].reference_clips:
