@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -135,7 +136,7 @@ def test_bodies_slow_down_before_turns_the_more_the_sharper(tiny_model: MotionMo
     corners += [np.array([[0.0, 0.0], [0.0, 600.0], way]) for way in ways[3:]]
     paths = [make_path([PathPart(points, "running", 300.0)]) for points in corners]
     slowest = [float(speed_profile(tiny_model, path).min()) for path in paths]
-    assert slowest[0] == 300.0 and all(a > b for a, b in zip(slowest, slowest[1:], strict=False))
+    assert slowest[0] == 300.0 and all(a > b for a, b in pairwise(slowest))
     assert slowest[-1] < 60.0, "it turns on the spot"
 
 

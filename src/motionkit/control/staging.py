@@ -44,8 +44,8 @@ def staged(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = 
     """Add stands and run-ups to the parts with performances, within their seconds.
 
     A motion that begins with a performance, strike or jump begins standing, or running where the performance was
-    recorded at a run; so does any performance that the body is too slow for. Only whole performances are shown. Then the next part begins, or
-    the body stands. Parts shorter than all this stay as they are.
+    recorded at a run; so does any performance that the body is too slow for. Only whole performances are shown. Then
+    the next part begins, or the body stands. Parts shorter than all this stay as they are.
 
     Args:
         shown: what the clip shows that the motion continues; None if it begins with a start pose.
