@@ -138,13 +138,7 @@ class Learner:
             rate: the learning rate.
             newest: the weight of the new weights in their average.
         """
-        moved = [p for p in self.weights.values() if p.grad is not None]
-        # One long gradient for each seed, in few kernels.
-        flat = torch.cat([p.grad.reshape(self.seeds, -1) for p in moved if p.grad is not None], dim=1)
-        norm = torch.linalg.vector_norm(flat, dim=1, keepdim=True)
-        flat = torch.where(norm.isfinite(), flat * (self.clip_norm / (norm + 1e-6)).clamp(max=1.0), 0.0)
-        for p, part in zip(moved, flat.split([p.numel() // self.seeds for p in moved], dim=1), strict=True):
-            p.grad = part.contiguous().view(p.shape)  # fused optimizers read no strides
+        norm = self._clip([p for p in self.weights.values() if p.grad is not None])
         for each in self.optimizers:
             set_rate(each, rate)
             each.step()
@@ -152,6 +146,22 @@ class Learner:
         ahead = torch._foreach_sub([self.weights[f"network.{name}"] for name in self.average], averages)
         torch._foreach_mul_(ahead, newest)
         torch._foreach_add_(averages, ahead)
+        return norm
+
+    def _clip(self, moved: list[nn.Parameter]) -> Tensor:
+        """Shorten gradients to clip_norm, those of each seed for itself, and return their norms before."""
+        if self.seeds == 1 and moved[0].device.type == "cpu":
+            norm = nn.utils.clip_grad_norm_(moved, self.clip_norm)
+            if not norm.isfinite():
+                for p in moved:
+                    p.grad = torch.zeros_like(p)
+            return norm
+        # One long gradient for each seed, in few kernels, and without waiting for the norm.
+        flat = torch.cat([p.grad.reshape(self.seeds, -1) for p in moved if p.grad is not None], dim=1)
+        norm = torch.linalg.vector_norm(flat, dim=1, keepdim=True)
+        flat = torch.where(norm.isfinite(), flat * (self.clip_norm / (norm + 1e-6)).clamp(max=1.0), 0.0)
+        for p, part in zip(moved, flat.split([p.numel() // self.seeds for p in moved], dim=1), strict=True):
+            p.grad = part.contiguous().view(p.shape)  # fused optimizers read no strides
         return norm.squeeze(1) if self.seeds > 1 else norm.squeeze()
 
 
