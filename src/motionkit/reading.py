@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+ALL = "all"  # as an animation: each of a file
+
 
 def _warn(note: str) -> None:
     warnings.warn(note, stacklevel=5)
@@ -24,12 +26,14 @@ class _Manner:
         hear: is told what was settled.
         up: the axis that points up in all files, such as "+Z"; None to find it.
         cm: cm per unit of all files; None to find it.
+        animation: the name of the animation to read from files that have several, or ALL.
     """
 
     strict: bool = False
     hear: Callable[[str], None] = _warn
     up: str | None = None
     cm: float | None = None
+    animation: str | None = None
 
 
 _manner: ContextVar[_Manner] = ContextVar("manner", default=_Manner())  # noqa: B039 (it is frozen)
@@ -50,6 +54,11 @@ def told_cm() -> float | None:
     return _manner.get().cm
 
 
+def told_animation() -> str | None:
+    """The name of the animation to read from files that have several, or ALL; None if the user gives none."""
+    return _manner.get().animation
+
+
 def tell(path: str | Path, notes: tuple[str, ...]) -> None:
     """Say in one line what was settled in a file; a Python warning unless a caller listens."""
     if notes:
@@ -62,9 +71,10 @@ def reading(
     hear: Callable[[str], None] | None = None,
     up: str | None = None,
     cm: float | None = None,
+    animation: str | None = None,
 ) -> Iterator[None]:
     """Read files within the block in this manner (_Manner); None leaves a field as it is."""
-    given = {"strict": strict, "hear": hear, "up": up, "cm": cm}
+    given = {"strict": strict, "hear": hear, "up": up, "cm": cm, "animation": animation}
     changed: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     token = _manner.set(replace(_manner.get(), **changed))
     try:

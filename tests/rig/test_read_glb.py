@@ -19,8 +19,9 @@ from motionkit.motion.bvh import read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_angle
 from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
+from motionkit.reading import reading
 from motionkit.rig.on_rig import read_rig
-from motionkit.rig.read_glb import choosing, read_glb
+from motionkit.rig.read_glb import read_glb
 from motionkit.rig.retarget import retarget_file
 from rig.test_character import write
 from rig.test_gltf_rig import character
@@ -126,7 +127,7 @@ def test_which_animation_is_never_guessed(tmp_path: Path) -> None:
     with pytest.raises(MotionkitError, match="no animation called jump; it has: wave"):
         read_glb(path, "jump")
     assert len(read_glb(path, "point")) == 3
-    with choosing("point"):
+    with reading(animation="point"):
         assert read_glb(path).seconds == pytest.approx(3.0)
         assert retarget_file(path)[0].seconds == pytest.approx(3.0)
 

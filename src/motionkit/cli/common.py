@@ -79,9 +79,7 @@ model_option = click.option(
 def _choose(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
     """Callback of --clip: read the animation of this name while the command runs."""
     if value is not None:
-        from motionkit.rig.read_glb import choosing
-
-        context.with_resource(choosing(value))
+        context.with_resource(reading(animation=value))
 
 
 def named_animation_option(text: str) -> Callable:

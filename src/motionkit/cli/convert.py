@@ -66,11 +66,12 @@ def command(
 def _targets(source: Path, target: Path) -> list[tuple[str | None, Path]]:
     """The animations to convert and their files: one, or with --clip all TARGET with the name of each."""
     from motionkit.files import check_outputs, safe_name
+    from motionkit.reading import ALL, told_animation
     from motionkit.rig.gltf import GltfFile
     from motionkit.rig.read_file import is_gltf
-    from motionkit.rig.read_glb import ALL, chosen, clip_lengths
+    from motionkit.rig.read_glb import clip_lengths
 
-    if chosen() != ALL or not is_gltf(source):
+    if told_animation() != ALL or not is_gltf(source):
         return [(None, target)]
     names = [name for name, _ in clip_lengths(GltfFile(source))]
     files = [target.with_name(f"{target.stem}-{safe_name(name, 80)}{target.suffix}") for name in names]

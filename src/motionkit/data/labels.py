@@ -14,9 +14,10 @@ from pathlib import Path
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.files import files_below, read_text
 from motionkit.names import nfc
+from motionkit.reading import ALL, told_animation
 from motionkit.rig.gltf import GltfFile
 from motionkit.rig.read_file import ENDINGS, is_gltf
-from motionkit.rig.read_glb import ALL, chosen, clip_lengths
+from motionkit.rig.read_glb import clip_lengths
 from motionkit.rig.sides import other_side
 
 MAX_FRAME = 10**9
@@ -72,7 +73,7 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
 
     By default a labels.csv in one of the folders or their parents is used. Without a table, the type of a file is
     the name of its folder. For a file directly in a given folder it is the file's name without its number, or the
-    animation's, if a file has several. Which of them are taken, read_glb.choosing says.
+    animation's, if a file has several. Which of them are taken, motionkit.reading says.
 
     Raises:
         DatasetError: there are no files, or the label table is invalid.
@@ -117,7 +118,7 @@ def _clips(path: Path) -> list[tuple[str | None, bool]]:
         names = [name for name, _ in clip_lengths(GltfFile(path))]
     except MotionkitError:
         return [(None, False)]
-    several = len(names) > 1 and chosen() == ALL
+    several = len(names) > 1 and told_animation() == ALL
     return [(name if several else None, several) for name in (names if several else names[:1])]
 
 

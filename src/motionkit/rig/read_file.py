@@ -17,7 +17,7 @@ def read_file(path: str | Path, clip: str | None = None) -> BvhFile:
 
     Args:
         path: the file.
-        clip: animation of a .glb or .vrm; needed if it has several, unless a caller has chosen one (read_glb.choosing).
+        clip: animation of a .glb or .vrm; needed if it has several, unless a caller has chosen one (motionkit.reading).
 
     Raises:
         BvhError, MotionkitError: the file cannot be read, or has no such animation; the message names the file.

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +13,7 @@ from motionkit.motion.frame_rate import nominal_rate
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import matrix_to_quat, quat_normalize, quat_slerp, quat_to_matrix
 from motionkit.names import visible
+from motionkit.reading import ALL, told_animation
 from motionkit.rig.character import Character, nearest_rotations, read_character
 from motionkit.rig.gltf import GltfFile
 
@@ -25,25 +23,6 @@ FASTEST, LONGEST = 480.0, 3600.0  # frames per second, and seconds, of the faste
 MOST_POSES = 2**23  # joints times frames; an hour of 77 joints at 30 fps
 KEY_WITHIN = 1e-3  # share of the time between keys; a frame this little before a key counts as at the key
 _WIDTHS = {"rotation": 4, "translation": 3, "scale": 3}
-
-
-ALL = "all"  # as a choice: each animation of a file
-_choice: ContextVar[str | None] = ContextVar("choice", default=None)
-
-
-@contextmanager
-def choosing(clip: str | None) -> Iterator[None]:
-    """Within the block, read the animation of this name from files that have several."""
-    token = _choice.set(clip)
-    try:
-        yield
-    finally:
-        _choice.reset(token)
-
-
-def chosen() -> str | None:
-    """The name given to choosing()."""
-    return _choice.get()
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +115,7 @@ def _last_key(file: GltfFile, sampler: dict[str, Any]) -> float:
 def _animation(file: GltfFile, clip: str | None) -> tuple[str, dict[str, Any]]:
     """The name and the animation of a name, by default the chosen one or the only one."""
     clips = clip_lengths(file)
-    clip = clip or (chosen() if len(clips) > 1 and chosen() != ALL else None)
+    clip = clip or (told_animation() if len(clips) > 1 and told_animation() != ALL else None)
     told = ", ".join(f"{visible(name)} ({seconds:.2f} s)" for name, seconds in clips)
     if not clips:
         raise file.fault("has no animation; as a rig it can be given with --rig")
