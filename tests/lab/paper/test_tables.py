@@ -104,6 +104,21 @@ def test_the_page_says_what_the_spread_allows() -> None:
     assert "one seed, too little to say" in page([r for r in RESULTS if r["seed"] == 0])
 
 
+def test_a_table_has_each_type_of_motion() -> None:
+    def of(seed: int) -> dict[str, Any]:
+        rows = [
+            {"sequence": str(i), "type": kind, "frames": 30, "values": {"mpjpe": [error + seed, 0.0]}}
+            for i, (kind, error) in enumerate((("walking", 4.0), ("idle", 1.0), ("walking", 6.0)))
+        ]
+        return result("TPTN", "tptn", seed, 10.0) | {"sequences": rows}
+
+    table = next(t for t in tables([of(0), of(2)]) if t.title == "TPTN by type of motion: D_L, budget cpu")
+    assert [(row[0], row[1], row[5]) for row in table.rows] == [
+        ("idle", "30", "2.00 ± 1.41 (0)"),
+        ("walking", "60", "6.00 ± 1.41 (0)"),
+    ]
+
+
 # ---- the t-test ----
 
 
