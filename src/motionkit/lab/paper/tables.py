@@ -422,8 +422,9 @@ def _command(here: list[dict[str, Any]], folder: str) -> str:
     words = f"--set {here[0]['data']} --budget {budget} --frames {here[0]['longest']}"
     needed = {variant.name: variant.seeds for variant in VARIANTS}
     more = any(result["seed"] >= needed.get(result["name"], 1) for result in here)
+    seeds = max([3, *(result["seed"] + 1 for result in here)])
     return (
-        f"Command: `motionkit experiment run all {words}{f' --steps {steps}' if steps else ''} --seeds 3"
+        f"Command: `motionkit experiment run all {words}{f' --steps {steps}' if steps else ''} --seeds {seeds}"
         f"{' --every-seed' if more else ''}`."
     )
 
