@@ -76,6 +76,15 @@ def paired(differences: Sequence[float]) -> Paired:
     return Paired(found.mean, t, min(1.0, 2.0 * upper_tail(abs(t), found.seeds - 1)), found.seeds)
 
 
+def least_t(level: float, freedom: int) -> float:
+    """Return the t beyond which the two-sided p is below a level."""
+    low, high = 0.0, 1e6
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if 2.0 * upper_tail(middle, freedom) > level else (low, middle)
+    return high
+
+
 def corrected(values: Sequence[float]) -> list[float]:
     """Return p-values corrected for their number (Holm 1979), in the order given."""
     out, largest = [0.0] * len(values), 0.0

@@ -31,7 +31,7 @@ from motionkit.lab.paper.ttest import (
     scores,
     unequal_samples,
 )
-from motionkit.lab.statistics import corrected, paired, upper_tail
+from motionkit.lab.statistics import corrected, least_t, paired, upper_tail
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.motion import Motion
 
@@ -101,8 +101,23 @@ def test_the_page_says_what_the_spread_allows() -> None:
         "MPJPE 10.1 against 20 (TPTN is better)" in text
         and "SSIM 10.1 against 20 (last frame is better)" in text
     )
-    assert "Not run yet in `D_L/cpu`: FPTN-S" in text
+    assert "Not run yet in `D_L/cpu`: FPTN-R (2), FPTN-S (3)" in text
     assert "one seed, too little to say" in page([r for r in RESULTS if r["seed"] == 0])
+
+
+def test_a_table_has_each_type_of_motion() -> None:
+    def of(seed: int) -> dict[str, Any]:
+        rows = [
+            {"sequence": str(i), "type": kind, "frames": 30, "values": {"mpjpe": [error + seed, 0.0]}}
+            for i, (kind, error) in enumerate((("walking", 4.0), ("idle", 1.0), ("walking", 6.0)))
+        ]
+        return result("TPTN", "tptn", seed, 10.0) | {"sequences": rows}
+
+    table = next(t for t in tables([of(0), of(2)]) if t.title == "TPTN by type of motion: D_L, budget cpu")
+    assert [(row[0], row[1], row[5]) for row in table.rows] == [
+        ("idle", "30", "2.00 ± 1.41 (0)"),
+        ("walking", "60", "6.00 ± 1.41 (0)"),
+    ]
 
 
 # ---- the t-test ----
@@ -303,8 +318,8 @@ def test_the_page_names_networks_that_hardly_move_and_the_command() -> None:
     assert "`motionkit experiment run all --set D_L --budget cpu --frames 240 --seeds 3`" in page(lively)
     short = [each | {"folder": "D_L/cpu-300"} for each in lively]
     assert "--frames 240 --steps 300 --seeds 3`" in page(short)
-    more = [result("FPTN-R", "fptn-r", seed, 30.0) for seed in (0, 1)]
-    assert "--seeds 3 --every-seed`" in page(lively + more), "a table needs one of FPTN-R"
+    more = [result("FPTN-R", "fptn-r", seed, 30.0) for seed in range(4)]
+    assert "--seeds 4 --every-seed`" in page(lively + more), "a table needs three of FPTN-R"
 
 
 def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) -> None:
@@ -441,7 +456,11 @@ def test_a_claim_about_movement_is_judged_by_it() -> None:
     assert moved["w/o-CL"][-1] == "agrees" and str(moved["w/o-CL"][-2]).startswith("**-10.0, t ")
     assert moved["L2 Loss"][-1] == "does not agree" and moved["L2 Loss"][3] == "", "it predicts no Gaussian"
     lines = page(still)
-    assert "2 of 2 claims are decided: 1 agree, 1 do not." in lines
+    assert (
+        "2 of 2 claims are decided: 1 agree, 1 do not. 5 seeds tell the first of 1 variant from t 2.8 on."
+        in lines
+    )
+    assert least_t(0.05, 4) == pytest.approx(2.776445, rel=1e-5)
 
 
 def test_results_of_before_have_no_verdict() -> None:

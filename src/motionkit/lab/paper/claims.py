@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from motionkit.lab.paper.tables import Results, named
-from motionkit.lab.statistics import Paired, corrected, paired
+from motionkit.lab.statistics import Paired, corrected, least_t, paired
+from motionkit.names import counted
 from motionkit.tables import Table
 
 LEVEL = 0.05  # of the corrected p below which a difference counts
@@ -181,11 +182,17 @@ def claims_table(results: Results, title: str) -> Table:
 
 
 def counts(results: Results) -> str:
-    """Say how many claims are decided."""
+    """Say how many claims are decided, and how large t has to be for it."""
     table = claims_table(results, "")
     if not table.rows:
         return ""
+    found = [each for each in judged(results) if each.measure == BETTER[0]]
+    seeds = max((each.found.count for each in found), default=0)
+    need = ""
+    if found:
+        t = least_t(LEVEL / len(found), seeds - 1)
+        need = f" {seeds} seeds tell the first of {counted(len(found), 'variant')} from t {t:.1f} on."
     said = [row[-1] for row in table.rows]
     decided = sum(each in ("agrees", "does not agree") for each in said)
     agree = said.count("agrees")
-    return f"{decided} of {len(said)} claims are decided: {agree} agree, {decided - agree} do not."
+    return f"{decided} of {len(said)} claims are decided: {agree} agree, {decided - agree} do not.{need}"

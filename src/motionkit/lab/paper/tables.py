@@ -190,6 +190,7 @@ def _folder_tables(folder: str, results: Results) -> list[Table]:
                 _table(f"Metrics of other papers: {_named(folder)}", selection, present, by_name, RESEARCH)
             )
             out.append(_distribution(f"Sets of motions: {_named(folder)}", present, by_name))
+    out.append(_by_type(f"TPTN by type of motion: {_named(folder)}", by_name.get("TPTN", [])))
     out += _held_out_tables(_named(folder), [v for v in VARIANTS if v.name in by_name], by_name)
     out.append(_derivatives(f"Derivatives of the predicted trajectory: {_named(folder)}", by_name))
     return [table for table in out if table.rows]
@@ -223,6 +224,31 @@ def _table(
             cells.append(_beside(text, _paper_value(selection, v.name, c)))
         rows.append((v.name, str(len(by_name[v.name])), _parameters(v, by_name[v.name]), *cells))
     return Table(title, ("", "seeds", "parameters (M)", *(c.title for c in columns)), tuple(rows))
+
+
+def _by_type(title: str, results: Results) -> Table:
+    """The main figures of one variant for each type of motion, the recorded ones in brackets."""
+    kinds = sorted({row["type"] for result in results for row in result["sequences"] if "type" in row})
+    by_kind = [
+        result
+        | {
+            "groups": {
+                k: means(rows) for k in kinds if (rows := [r for r in result["sequences"] if r["type"] == k])
+            }
+        }
+        for result in results
+    ]
+    rows = []
+    for kind in kinds:
+        frames = sum(row["frames"] for row in results[0]["sequences"] if row["type"] == kind)
+        made = [figure_of(by_kind, column.metric, kind) for column in MAIN]
+        truth = [figure_of(by_kind, column.metric, kind, recorded=True) for column in MAIN]
+        cells = [
+            _beside(_cell(own, column.digits), "" if real is None else round(real.mean, column.digits))
+            for column, own, real in zip(MAIN, made, truth, strict=True)
+        ]
+        rows.append((kind, str(frames), *cells))
+    return Table(title, ("", "frames", *(column.title for column in MAIN)), tuple(rows))
 
 
 def _paper_value(selection: str, name: str, column: Column) -> float | str:
@@ -396,8 +422,9 @@ def _command(here: list[dict[str, Any]], folder: str) -> str:
     words = f"--set {here[0]['data']} --budget {budget} --frames {here[0]['longest']}"
     needed = {variant.name: variant.seeds for variant in VARIANTS}
     more = any(result["seed"] >= needed.get(result["name"], 1) for result in here)
+    seeds = max([3, *(result["seed"] + 1 for result in here)])
     return (
-        f"Command: `motionkit experiment run all {words}{f' --steps {steps}' if steps else ''} --seeds 3"
+        f"Command: `motionkit experiment run all {words}{f' --steps {steps}' if steps else ''} --seeds {seeds}"
         f"{' --every-seed' if more else ''}`."
     )
 
