@@ -142,6 +142,11 @@ class GltfFile:
         """An error about this file."""
         return MotionkitError(f"{self.path}: {message}")
 
+    def own(self) -> bool:
+        """Whether motionkit made the file."""
+        asset = self.json.get("asset")
+        return isinstance(asset, dict) and str(asset.get("generator")).startswith("motionkit ")
+
     def items(self, kind: str) -> list[dict[str, Any]]:
         """One of the lists of objects of the JSON, such as "nodes"; empty if absent."""
         found = self.json.get(kind, [])
