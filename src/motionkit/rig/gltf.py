@@ -169,7 +169,9 @@ class GltfFile:
         """
         accessor = self.item("accessors", index)
         where, kind = f"accessors[{index}]", accessor.get("componentType")
-        if kind != FLOAT and not (kind in _LARGEST and accessor.get("normalized") is True):
+        if kind != FLOAT and not (
+            type(kind) is int and kind in _LARGEST and accessor.get("normalized") is True
+        ):
             raise self.fault(f"{where} has no floats or normalized integers")
         if _COUNTS.get(str(accessor.get("type"))) != width:
             raise self.fault(f"{where} has the type {accessor.get('type')}, expected {width} numbers")
