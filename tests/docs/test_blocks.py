@@ -18,6 +18,8 @@ import motionkit as mk
 from motionkit.cli.main import cli
 from motionkit.control.path import SHAPES
 from motionkit.motion.bvh import read_bvh, write_bvh
+from rig.test_character import write as write_character
+from rig.test_gltf_rig import character
 from synthetic_rigs import FAMILIES, renamed, walk
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -64,6 +66,7 @@ def named_files(
     for name in ("walk", "truth", "made", "ground_truth", "generated"):
         shutil.copy(SAMPLE / "16_45.bvh", folder / f"{name}.bvh")
     write_bvh(folder / "my.bvh", renamed(walk(8), FAMILIES["unreal"]).scaled(0.01))
+    write_character(folder / "hero.glb", character())
     (way,) = (text for language, text in blocks(ROOT / "docs" / "paths.md") if language == "json")
     for name in ("route", "way"):
         (folder / f"{name}.json").write_text(way)

@@ -77,9 +77,15 @@ def test_both_together_leave_the_root_at_the_origin(clip: Motion) -> None:
     assert np.abs(made.root_positions).max() < 4.0
 
 
-def test_a_second_root_is_refused(clip: Motion) -> None:
+def test_a_root_bone_that_is_there_is_used(clip: Motion) -> None:
+    once = with_ground_root(clip)
+    twice = with_ground_root(once)
+    assert twice.skeleton.names == once.skeleton.names
+    assert np.abs(motion_kinematics(twice)[1] - motion_kinematics(once)[1])[:, 1:].max() < 0.01
+    names = (*once.skeleton.names[:-1], "Root")
+    hand = replace(clip, skeleton=replace(clip.skeleton, names=names[1:]))
     with pytest.raises(SkeletonError, match="Root already"):
-        with_ground_root(with_ground_root(clip))
+        with_ground_root(hand)
 
 
 def test_a_ground_root_survives_the_files(tmp_path: Path) -> None:

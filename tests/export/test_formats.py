@@ -346,6 +346,7 @@ FAULTS: list[tuple[Callable[[dict], object], str]] = [
     (lambda v: v["skins"][0].update(joints="all"), "expected node numbers below"),
     (lambda v: v["accessors"][-1].update(count=10**9), "beyond the buffer"),
     (lambda v: v["accessors"][-1].update(componentType=5122), "no floats or normalized"),
+    (lambda v: v["accessors"][-1].update(componentType=[5126]), "no floats or normalized"),
     (lambda v: v["accessors"][-1].update(sparse=[1]), "sparse without"),
     (lambda v: v["accessors"][-1].update(bufferView=10**6), "bufferViews"),
     (

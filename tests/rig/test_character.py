@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
+from motionkit.editing.root_motion import in_place, with_ground_root
 from motionkit.errors import MotionkitError
 from motionkit.export.clip import rig_clip
 from motionkit.export.formats import read_clip, write_motion
@@ -224,6 +225,29 @@ def test_joints_in_between_and_beside_keep_their_rest(tmp_path: Path, walk: Moti
     ]
     turned = {value["nodes"][c["target"]["node"]]["name"] for c in channels}
     assert moved == ["Hips"] and not {"sword", "Scene"} & turned
+
+
+def test_a_root_bone_that_is_there_takes_the_way(tmp_path: Path, walk: Motion) -> None:
+    """Or stays, if the motion is in place; the body is where it was, and no joint is added."""
+    value = character()
+    value["nodes"][1]["name"] = "rig|Root_"
+    value["skins"][0]["joints"] += [1]
+    write(tmp_path / "hero.glb", value)
+    rig = read_rig(tmp_path / "hero.glb")
+    made = on_rig(walk, rig)
+    for name, change in (("plain", lambda m: m), ("root", with_ground_root), ("still", in_place)):
+        write_motion(tmp_path / f"{name}.glb", rig_clip(change(made), rig, name))
+    plain, root, still = (worlds(tmp_path / f"{name}.glb") for name in ("plain", "root", "still"))
+    assert np.abs(root["LeftHand"] - plain["LeftHand"]).max() < 1e-4
+    way = root["rig|Root_"][:, :3, 3]
+    assert np.ptp(plain["rig|Root_"][:, :3, 3], axis=0).max() == 0.0
+    assert np.abs(way - plain["Hips"][:, :3, 3])[:, [0, 2]].max() < 0.15 and np.ptp(way[:, 1]) < 1e-6
+    assert np.ptp(still["rig|Root_"][:, :3, 3], axis=0).max() < 1e-6
+    assert np.ptp(still["Hips"][:, [0, 2], 3], axis=0).max() < 0.1 < 0.3 < np.ptp(way[:, 2])
+    write(tmp_path / "bare.glb", character())
+    bare = read_rig(tmp_path / "bare.glb")
+    with pytest.raises(MotionkitError, match=r"other joints than .*bare\.glb"):
+        write_motion(tmp_path / "b.glb", rig_clip(with_ground_root(on_rig(walk, bare)), bare, "walk"))
 
 
 @pytest.mark.parametrize("where", ["beside", "along"])

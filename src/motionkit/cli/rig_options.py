@@ -141,10 +141,17 @@ def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | Non
 def open_written(
     rig_path: Path | None, map_path: Path | None, clip_path: Path | None, in_place: bool, root: str
 ) -> RigChoice:
-    """Like open_rig, with root motion; raises UsageError for a ground joint on a rig."""
-    if rig_path is not None and root == "ground":
-        raise click.UsageError("--root ground adds a joint; --rig keeps the joints of its file")
-    return replace(open_rig(rig_path, map_path, clip_path), way=RootMotion(in_place, root))
+    """Like open_rig, with root motion; raises UsageError for a ground joint on a rig without one."""
+    choice = open_rig(rig_path, map_path, clip_path)
+    if choice.rig is not None and root == "ground":
+        from motionkit.editing.root_motion import root_bone
+
+        if root_bone(choice.rig.skeleton) is None:
+            raise click.UsageError(
+                f"--root ground adds a joint, and --rig keeps those of its file; {choice.rig.name} has no root bone "
+                "(root, reference) above its hips"
+            )
+    return replace(choice, way=RootMotion(in_place, root))
 
 
 rig_options = together(rig_option, map_option, clip_option, strict_option, gathered("choice", open_rig))

@@ -23,18 +23,22 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.upright import Upright, relative_rotation
 
+_ROOT_NAMES = ("root", "reference")
 ROOT = "Root"  # name of the bone on the floor
 SMOOTHING_SECONDS = 0.25  # s, smoothing of the ground track; the sway of steps stays with the hips
 
 
 def ground_track(upright: Upright, cyclic: bool = False) -> Array:
-    """The ground track (T, 3) of a motion: smoothed x and z of the root in cm, and its heading in radians.
+    """The ground track (T, 3) of a motion: smoothed x and z of the hips in cm, and their heading in radians.
 
     Args:
         cyclic: the last frame equals the first, apart from its place; the track then has equal steps at both ends.
     """
     track = np.concatenate(
-        [upright.positions[:, 0, [0, 2]].astype(np.float64), upright.heading[:, None].astype(np.float64)],
+        [
+            upright.positions[:, root_bone(upright.motion.skeleton) or 0, [0, 2]].astype(np.float64),
+            upright.heading[:, None].astype(np.float64),
+        ],
         axis=1,
     )
     out = track.copy()
@@ -64,8 +68,11 @@ def _smoothed(values: Array, sigma: float, cyclic: bool) -> Array:
 
 def in_place(motion: Motion, cyclic: bool = False) -> Motion:
     """The motion without its ground track; the hips keep their height, sway and turns."""
+    body = root_bone(motion.skeleton)
+    if body is not None:  # which stays below the body
+        motion = _on_root_bone(motion, body, cyclic)
     upright = Upright.of(motion)
-    way = ground_track(upright, cyclic)[:, :2]
+    way = ground_track(upright, cyclic)[:, :2] if body is None else upright.motion.root_positions[:, [0, 2]]
     roots = upright.motion.root_positions.copy()
     roots[:, [0, 2]] -= way.astype(roots.dtype)
     return upright.back(replace(upright.motion, root_positions=roots))
@@ -88,12 +95,55 @@ def at_origin(motion: Motion, cyclic: bool = False) -> Motion:
     return upright.back(replace(source, local_rotations=rotations, root_positions=roots))
 
 
+def root_bone(skeleton: Skeleton) -> int | None:
+    """The child of a root bone that carries the body; None if the first joint is no root bone but the hips.
+
+    A root bone stands on the floor and is called root or reference, with any prefix.
+    """
+    name = skeleton.names[0].rpartition(":")[2].rpartition("|")[2].strip("_ ").lower()
+    if name not in _ROOT_NAMES:
+        return None
+    sizes = {
+        child: sum(skeleton.descends(joint, child) for joint in range(len(skeleton)))
+        for child in skeleton.children(0)
+    }
+    child = max(sizes, key=sizes.__getitem__, default=None)
+    return child if child is not None and 2 * sizes[child] > len(skeleton) else None
+
+
+def _on_root_bone(motion: Motion, body: int, cyclic: bool) -> Motion:
+    """The motion with the track on its first joint, whose child `body` stays where it is in the world."""
+    upright = Upright.of(motion)
+    source = upright.motion
+    track, skeleton = ground_track(upright, cyclic), source.skeleton
+    height = np.full(len(source), skeleton.offsets[0, 1])
+    place = np.stack([track[:, 0], height, track[:, 1]], axis=-1).astype(np.float32)
+    turn = quat_from_yaw(track[:, 2]).astype(np.float32)
+    still = np.broadcast_to(skeleton.offsets, (len(source), *skeleton.offsets.shape))
+    moved = np.array(still if source.local_positions is None else source.local_positions, np.float32)
+    rotations = source.local_rotations.copy()
+    old = rotations[:, 0]
+    at = source.root_positions + quat_rotate(old, moved[:, body])
+    rotations[:, body] = relative_rotation(turn, quat_multiply(old, rotations[:, body]))
+    moved[:, body] = quat_rotate(quat_inverse(turn), at - place)
+    rotations[:, 0], moved[:, 0] = turn, place
+    made = replace(
+        source, local_rotations=quat_continuous(rotations), root_positions=place, local_positions=moved
+    )
+    return upright.back(made)
+
+
 def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
-    """The motion with a new root joint on the floor, which has the track and heading; the hips become its child.
+    """The motion with a root joint on the floor, which has the track and heading; the hips become its child.
+
+    A root bone that is there takes the track, else a joint called Root is added.
 
     Raises:
-        SkeletonError: the rig has a joint called Root already.
+        SkeletonError: the rig has a joint called Root that is no root bone.
     """
+    body = root_bone(motion.skeleton)
+    if body is not None:
+        return _on_root_bone(motion, body, cyclic)
     if ROOT in motion.skeleton.names:
         raise SkeletonError(f"the rig has a joint called {ROOT} already; --root ground adds one")
     upright = Upright.of(motion)

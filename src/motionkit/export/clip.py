@@ -39,7 +39,7 @@ class Clip:
     alone: bool = False
 
     def with_motion(self, motion: Motion) -> Clip:
-        """The clip with an edited motion; keeps channels and hierarchy if they fit it."""
+        """The clip with an edited motion; keeps channels and hierarchy if they fit it, and its character anyway."""
         kept = self._holds(motion)
         same = kept and np.array_equal(motion.skeleton.offsets, self.motion.skeleton.offsets)
         return replace(
@@ -47,7 +47,6 @@ class Clip:
             motion=motion,
             channels=self.channels if kept else None,
             hierarchy=self.hierarchy if same else None,
-            character=self.character if self.character and self.character.holds(motion) else None,
         )
 
     def _holds(self, motion: Motion) -> bool:

@@ -115,4 +115,5 @@ def _read_glb(path: str | Path, name: str | None = None) -> Clip:
 
     character = read_character(path)
     called, motion = motion_of(character, name)
-    return Clip(motion.scaled(CM), called, character=character)
+    # The mannequin of our own files is made anew, for any joints.
+    return Clip(motion.scaled(CM), called, character=None if character.tree.file.own() else character)

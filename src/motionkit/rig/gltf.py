@@ -142,6 +142,11 @@ class GltfFile:
         """An error about this file."""
         return MotionkitError(f"{self.path}: {message}")
 
+    def own(self) -> bool:
+        """Whether motionkit made the file."""
+        asset = self.json.get("asset")
+        return isinstance(asset, dict) and str(asset.get("generator")).startswith("motionkit ")
+
     def items(self, kind: str) -> list[dict[str, Any]]:
         """One of the lists of objects of the JSON, such as "nodes"; empty if absent."""
         found = self.json.get(kind, [])
@@ -164,7 +169,9 @@ class GltfFile:
         """
         accessor = self.item("accessors", index)
         where, kind = f"accessors[{index}]", accessor.get("componentType")
-        if kind != FLOAT and not (kind in _LARGEST and accessor.get("normalized") is True):
+        if kind != FLOAT and not (
+            type(kind) is int and kind in _LARGEST and accessor.get("normalized") is True
+        ):
             raise self.fault(f"{where} has no floats or normalized integers")
         if _COUNTS.get(str(accessor.get("type"))) != width:
             raise self.fault(f"{where} has the type {accessor.get('type')}, expected {width} numbers")

@@ -155,7 +155,7 @@ def _tracks(file: GltfFile, animation: dict[str, Any], moving: set[int]) -> list
         if not isinstance(target, dict) or type(which) is not int or not 0 <= which < len(samplers):
             raise file.fault("a channel has no target, or a sampler that does not exist")
         node, path = target.get("node"), target.get("path")
-        if path not in _WIDTHS or node is None:
+        if not isinstance(path, str) or path not in _WIDTHS or node is None:
             continue
         file.item("nodes", node)
         if node not in moving:
