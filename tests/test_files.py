@@ -216,13 +216,13 @@ def test_lines_end_alike_on_all_systems(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_a_new_file_has_the_usual_permissions(tmp_path: Path) -> None:
-    before = os.umask(0o027)
+    before = os.umask(0o020)
     try:
         with atomic_write(tmp_path / "new"):
             pass
     finally:
         os.umask(before)
-    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o640
+    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o646
 
 
 def test_so_many_may_write_one_file(tmp_path: Path) -> None:

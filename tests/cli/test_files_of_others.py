@@ -144,4 +144,5 @@ def test_a_killed_run_leaves_whole_files_and_the_next_cleans_up(
                 assert data in (former[name], whole[name]), (kills, name)
         assert run(0, old) == 0
         assert visible(out).keys() == former.keys(), f"what kill {kills} left is not cleaned up"
+    print(f"killed {kills} times: {' '.join(words)}")
     assert kills >= 2

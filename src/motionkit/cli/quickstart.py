@@ -76,7 +76,7 @@ class Asked:
     "--mirror/--no-mirror",
     "Also learn from the mirror image of each clip; --no-mirror keeps kicks of one leg to that leg.",
 )
-@click.option("--force", is_flag=True, help="Overwrite the model of an earlier quickstart.")
+@click.option("--force", is_flag=True, help="Begin anew, and replace what is in the output folder.")
 @click.option(
     "--resume",
     is_flag=True,

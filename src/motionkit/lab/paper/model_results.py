@@ -7,7 +7,7 @@ from typing import Any
 
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
-from motionkit.files import read_json
+from motionkit.files import read_json, safe_name
 from motionkit.lab.paper.bodies import MEASURES
 from motionkit.lab.paper.datasets import SELECTIONS
 from motionkit.lab.paper.scenes import SCENES
@@ -177,6 +177,8 @@ def _read(folder: Path, what: str, shape: Shape) -> Results:
         result = read_json(path, f"the results of {what}", MotionkitError)
         try:
             _check(result, MODEL | shape, "")
+            if safe_name(result["model"]) != result["model"]:  # pictures beside the page are named after it
+                raise MotionkitError(f"model is {result['model']!r:.40}, expected a name of files")
             if not all(result[key] for key in shape if isinstance(shape[key], list)):
                 raise MotionkitError(f"{', '.join(shape)} is empty")
             if "scenes" in shape and [scene["name"] for scene in result["scenes"]] != names:
