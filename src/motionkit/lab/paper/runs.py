@@ -223,13 +223,7 @@ def run_one(
     made = made_from(dataset)
     if is_done(plan, each, seed, made):
         return file
-    result: dict[str, Any] = {
-        "name": each.name,
-        "group": each.group,
-        "seed": seed,
-        "data": plan.selection,
-        "made": made,
-    }
+    result = heading(plan, each, seed, made)
     if each.preset:
         result |= _trained(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
     else:
@@ -237,6 +231,11 @@ def run_one(
     write_json(file, result)
     progress(1.0)
     return file
+
+
+def heading(plan: Plan, each: Variant, seed: int, made: dict[str, str]) -> dict[str, Any]:
+    """Return the first fields of a result: which run it is of."""
+    return {"name": each.name, "group": each.group, "seed": seed, "data": plan.selection, "made": made}
 
 
 def run_all(
