@@ -235,13 +235,7 @@ def run_one(
             say(line)
         if is_done(plan, each, seed, made):
             return file
-        result: dict[str, Any] = {
-            "name": each.name,
-            "group": each.group,
-            "seed": seed,
-            "data": plan.selection,
-            "made": made,
-        }
+        result = heading(plan, each, seed, made)
         if each.preset:
             torch.set_num_threads(1)  # sums in one order, so that a seed gives the same figures
             if not trained:
@@ -252,6 +246,11 @@ def run_one(
         write_json(file, result)
     progress(1.0)
     return file
+
+
+def heading(plan: Plan, each: Variant, seed: int, made: dict[str, str]) -> dict[str, Any]:
+    """Return the first fields of a result: which run it is of."""
+    return {"name": each.name, "group": each.group, "seed": seed, "data": plan.selection, "made": made}
 
 
 def run_all(
