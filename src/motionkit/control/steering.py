@@ -56,7 +56,7 @@ class SteeringOptions:
     smoothing: float = 0.2
     settled_within: float = 0.08
     leave_anchor: float = 60.0
-    turn_speed: float = 4.0
+    turn_speed: float = 5.4
     turn_share: float = 0.5
     turn_aside: float = math.pi / 4
 
@@ -235,8 +235,8 @@ class Steering:
         """The velocity and the facing to approach: a body turns about where it faces, and slows down to turn back."""
         assert self._facing is not None
         off = nearest_turn(facing - self._facing[0])
-        # From rest, a spring at distance d turns by up to d * rate / e.
-        most = self.options.turn_speed * math.e / spring_rate(self.options.turn_halflife)
+        # A spring whose goal stays at distance d ahead of it moves by d * rate / 2.
+        most = 2.0 * self.options.turn_speed / spring_rate(self.options.turn_halflife)
         share = min(max(1.0 + math.cos(off), self.options.turn_share), 1.0)
         aside = 0.0 if math.hypot(*velocity) > RUN_SPEED else self.options.turn_aside
         back = -math.copysign(max(abs(off) - aside, 0.0), off)

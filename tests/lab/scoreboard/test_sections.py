@@ -49,6 +49,11 @@ def test_paths_are_as_long_as_they_say() -> None:
     corner = trials["pentagram corner (144°), running"]
     cosine = float((corner.tangents[10] * corner.tangents[-10]).sum())
     assert math.degrees(math.acos(cosine)) == pytest.approx(144.0, abs=1.0)
+    zigzag = trials["zigzag (135°), running"]
+    assert zigzag.length == pytest.approx(2000.0, abs=3.0)
+    assert float(zigzag.tangents[10] @ zigzag.tangents[300]) == pytest.approx(
+        math.cos(math.radians(135.0)), abs=0.01
+    )
     mixed = next(path for name, path in trials.items() if name.startswith("jumping-r"))
     assert [part.type for part in mixed.parts][:3] == ["jumping-r", "jumping-l", "running"]
     assert "running → wheel → running" in trials
@@ -67,7 +72,7 @@ def test_every_path_of_known_types_is_measured(make_trial, monkeypatch: pytest.M
     first, second = section.tables
     assert [row[0] for row in first.rows] == [trial.name for trial in wanted]
     for row, goal in zip(first.rows, section.goals, strict=False):
-        _, mean, largest, _, finished, _ = row
+        _, mean, largest, _, finished, *_ = row
         assert goal.value == mean and 0.0 < mean <= largest  # the model hardly moves, but not along the path
         assert finished == "0 of 1" and goal.note == "finished 0 of 1"
     assert [row[0] for row in second.rows] == [trial.name for trial in asked]

@@ -13,7 +13,7 @@ const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0
 
 // Most turning speed in radians/s; least share of the speed of a body that turns back; largest angle in radians between
 // velocity and facing while a walk turns.
-const [TURN_SPEED, TURN_SHARE, TURN_ASIDE] = [4, 0.5, Math.PI / 4];
+const [TURN_SPEED, TURN_SHARE, TURN_ASIDE] = [5.4, 0.5, Math.PI / 4];
 
 /** The equivalent angle between -pi and pi. */
 export function nearestTurn(angle) {
@@ -130,7 +130,7 @@ export class Springs {
   // The velocity and facing to approach: a body turns about where it faces, and slows down to turn back.
   #turning(velocity, facing) {
     const off = nearestTurn(facing - this.facing[0]);
-    const most = (TURN_SPEED * Math.E) / rate(TURN_HALFLIFE); // from rest, a spring at distance d turns by up to d rate / e
+    const most = (2 * TURN_SPEED) / rate(TURN_HALFLIFE); // a spring whose goal stays at distance d ahead of it moves by d rate / 2
     const share = Math.min(Math.max(1 + Math.cos(off), TURN_SHARE), 1);
     const beyond = Math.max(Math.abs(off) - (Math.hypot(...velocity) > RUN_SPEED ? 0 : TURN_ASIDE), 0);
     return [turned(-Math.sign(off) * beyond, ...velocity).map((value) => share * value), this.facing[0] + Math.min(Math.max(off, -most), most)];

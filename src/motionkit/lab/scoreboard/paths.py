@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motionkit.arrays import spans
+from motionkit.arrays import Array, spans
 from motionkit.control.path import METRE, SHAPES, Path2D, PathPart, make_path, shape_path
 from motionkit.control.speeds import other_speeds, part_speeds
 from motionkit.control.steering import usual_gaits
@@ -18,7 +18,7 @@ from motionkit.lab.scoreboard.trial import Trial
 from motionkit.lab.scoreboard.visible import flips, value_of
 from motionkit.metrics.body import SPEED_SPAN, Body
 from motionkit.metrics.leaps import leaps
-from motionkit.metrics.touch import hover_share, planted_share
+from motionkit.metrics.touch import hover_share, planted_share, touching
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.metrics.value import MetricValue
 from motionkit.models.model import MotionModel
@@ -65,6 +65,8 @@ def path_trials(
         PathTrial(f"circle r = 6 m, {running}", shape_path("circle", 6.0, [running], None), 2.0),
         PathTrial(f"figure-eight r = 2 m, {walking}", shape_path("figure-eight", 2.0, [walking], None), 0.8),
         PathTrial(f"pentagram corner (144°), {running}", make_path([PathPart(corner, running)]), 2.0),
+        PathTrial(f"square (90°), {running}", shape_path("square", 5.0, [running], None), 1.0),
+        PathTrial(f"zigzag (135°), {running}", make_path([PathPart(_zigzag(135.0), running)]), 1.5),
         PathTrial(f"U-turn, {walking}", shape_path("u-turn", 6.0, [walking], None), 0.8),
     ]
     if performance is not None:
@@ -74,6 +76,13 @@ def path_trials(
         ends = ((first, 4), (last, 4)) if first != last else ((first, 4),)
         trials.append(_mixed(*ends, (running, 6), *ends[::-1]))
     return trials
+
+
+def _zigzag(degrees: float, side: float = 4.0 * METRE, sides: int = 5) -> Array:
+    """Corners (sides + 1, 2) of a path that turns by some degrees to the left and to the right in turn."""
+    headings = np.radians(degrees) * (np.arange(sides) % 2)
+    steps = side * np.stack([np.sin(headings), np.cos(headings)], axis=-1)
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
 def _mixed(*parts: tuple[str, float]) -> PathTrial:
@@ -167,6 +176,8 @@ class Followed:
         raw: the mean distance of the raw network output.
         finished: characters that reached the end.
         seconds: mean time until the end, or until a character gave up.
+        coverage: least share of the path that a character covered.
+        flight: longest time in seconds in which nothing touched the ground.
     """
 
     mean: float
@@ -174,6 +185,8 @@ class Followed:
     raw: float
     finished: int
     seconds: float
+    coverage: float
+    flight: float
 
 
 def _followed(trial: PathTrial, walks: Sequence[Walk]) -> Followed:
@@ -187,7 +200,13 @@ def _followed(trial: PathTrial, walks: Sequence[Walk]) -> Followed:
         float(np.mean([distance.mean for distance in raw])),
         sum(walk.finished for walk in walks),
         float(np.mean([walk.take.default.seconds for walk in walks])),
+        min(distance.coverage for distance in default),
+        max(_longest_flight(walk.take.default) for walk in walks),
     )
+
+
+def _longest_flight(body: Body) -> float:
+    return max((end - start for start, end in spans(~touching(body.positions))), default=0) / body.fps
 
 
 def _distances(trials: list[PathTrial], groups: list[Sequence[Walk]]) -> tuple[Table, list[Goal]]:
@@ -196,7 +215,9 @@ def _distances(trials: list[PathTrial], groups: list[Sequence[Walk]]) -> tuple[T
     for trial, walks in zip(trials, groups, strict=True):
         found = _followed(trial, walks)
         ends = f"{found.finished} of {len(walks)}"
-        rows.append((trial.name, found.mean, found.largest, found.raw, ends, found.seconds))
+        rows.append((
+            trial.name, found.mean, found.largest, found.raw, ends, found.seconds, found.coverage, found.flight,
+        ))  # fmt: skip
         note = "" if found.finished == len(walks) else f"finished {ends}"
         name = f"{trial.name}: mean distance, cm"
         goals.append(at_most(name, found.mean, trial.target, note))
@@ -207,6 +228,8 @@ def _distances(trials: list[PathTrial], groups: list[Sequence[Walk]]) -> tuple[T
         "raw mean distance, cm",
         "finished",
         "seconds",
+        "least coverage",
+        "longest flight, s",
     )
     return Table("Distance from the path", columns, rows), goals
 
