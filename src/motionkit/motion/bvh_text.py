@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from motionkit.errors import BvhError, MotionkitError
 from motionkit.files import read_bytes
+from motionkit.free_memory import check_memory
 from motionkit.motion.bvh_rows import Notes, floats, read_rows
 from motionkit.motion.motion import longest_seconds
 from motionkit.reading import tell
@@ -79,6 +80,10 @@ def read_bvh_text(path: str | Path) -> BvhText:
     hierarchy = None if notes.lines else _hierarchy(lines, motion_line)
     columns = [column for tree in trees for column in tree.columns]
     frames, frame_time, first_row = _check_motion_header(path, lines, motion_line, notes)
+    try:
+        check_memory(len(lines) - first_row, len(columns) // 3, 1.0 / frame_time)
+    except MotionkitError as error:
+        raise BvhError(path, str(error), first_row) from None
     values = read_rows(lines, first_row, frames, [name for name, _ in columns], notes)
     if not len(values):
         values = np.array([[rest for _, rest in columns]])
