@@ -1,12 +1,12 @@
 """A training step as `motionkit train` makes it, part by part, against the same step without its fast paths.
 
-    python benchmarks/training_step.py [--dataset FOLDER] [--threads 2] [--device cuda]
+    python benchmarks/training_step.py [--dataset FOLDER] [--threads 2]
 
 Plain means: attention over blocks in torch instead of C, windows on predictions in torch in float32 instead of the C
-step, AdamW parameter by parameter, Muon in float32, and on a GPU no graphs. Weights, windows and losses are the same;
-the losses of the first step are compared. Both run in turn, and the best of their times counts, because other work on
-the machine only adds to them; --cpu-time takes the time of the processor. Without a dataset the sample motion of
-examples/data is used.
+step, AdamW parameter by parameter, and Muon in float32. Weights, windows and losses are the same; the losses of the
+first step are compared. Both run in turn, and the best of their times counts, because other work on the machine only
+adds to them; --cpu-time takes the time of the processor. Without a dataset the sample motion of examples/data is used.
+gpu_job.py times a GPU.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ def plain_paths() -> Iterator[None]:
 
     with ExitStack() as stack:
         stack.enter_context(patch("motionkit.models.attention.can_attend", lambda *_: False))
-        stack.enter_context(patch("motionkit.training.replay._has_graphs", lambda _: False))
         stack.enter_context(patch("motionkit.training.scheduled_sampling._frame_step", in_torch))
         yield
 
@@ -56,7 +55,7 @@ class Timed:
             splices=20,
             stages=(),
         )
-        self.run = TrainingRun(Dataset(dataset), folder / "m.safetensors", options, device=arguments.device)
+        self.run = TrainingRun(Dataset(dataset), folder / "m.safetensors", options, device="cpu")
         self.run.sampler.make_splices()
         self.plain, self.clock = plain, time.process_time if arguments.cpu_time else time.perf_counter
         if plain:
@@ -69,11 +68,9 @@ class Timed:
         self.losses: dict[str, float] = {}
 
     def timed(self, work: Callable[[], object]) -> float:
-        """Return the seconds of some work, on a GPU those until it is done."""
+        """Return the seconds of some work."""
         began = self.clock()
         work()
-        if self.run.processes.device.type == "cuda":
-            torch.cuda.synchronize()
         return self.clock() - began
 
     def step(self) -> list[float]:
@@ -92,13 +89,10 @@ class Timed:
         learner.module.train()
 
         def gradients() -> None:
-            self.terms = learner.gradients(self.batch, options.losses, 0.0)
+            self.terms = learner.gradients(self.batch, 0.0)
 
         def update() -> None:
-            torch.nn.utils.clip_grad_norm_(learner.module.parameters(), options.optimizer.clip_norm)
-            for each in learner.optimizers:
-                each.step()
-            learner.update_average(at)
+            learner.update(torch.tensor(at.rate), torch.tensor(0.002))
 
         seconds = [windows, predictions, self.timed(gradients), self.timed(update)]
         self.losses = self.losses or {name: float(value) for name, value in self.terms.items()}
@@ -115,14 +109,13 @@ def main() -> None:
     parser.add_argument("--window", type=int, default=96, help="frames per window")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--threads", type=int, default=1, help="torch threads")
-    parser.add_argument("--device", default="cpu")
     parser.add_argument("--cpu-time", action="store_true", help="time of the processor instead of the clock")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if arguments.dataset is None:
-            preprocess(SAMPLE_FOLDER, folder / "dataset")
+            preprocess([SAMPLE_FOLDER], folder / "dataset")
         dataset = arguments.dataset or folder / "dataset"
         runs = [Timed(dataset, folder, arguments, plain) for plain in (True, False)]
         measured: list[list[list[float]]] = [[], []]
@@ -137,7 +130,7 @@ def main() -> None:
     kind = "processor" if arguments.cpu_time else "clock"
     title = (
         f"{arguments.preset}, {arguments.batch} windows of {arguments.window} frames, "
-        f"{arguments.threads} threads, {arguments.device}, ms of the {kind} (best of {arguments.repeats})"
+        f"{arguments.threads} threads, ms of the {kind} (best of {arguments.repeats})"
     )
     print_table(title, ["part of a step", "plain", "as trained", "times as fast"], rows)
     a, b = runs[0].losses, runs[1].losses

@@ -124,6 +124,8 @@ ONLY_COMMAND = {
     "rig_path",
     "map_path",
     "clip_path",
+    "name",  # of the animation: fields of the clip that mk.retarget returns
+    "alone",
 }
 
 

@@ -4,24 +4,35 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.errors import DatasetError, MotionkitError
+from motionkit.errors import DatasetError, MotionkitError, OverwriteError
 from motionkit.files import (
+    MARKED_BYTES,
     MAX_JSON_DEPTH,
+    SLOTS,
     atomic_write,
+    check_foreign,
     check_outputs,
     check_regular,
+    files_below,
+    is_number,
     parse_json,
     read_bytes,
     read_json,
     read_text,
     safe_name,
+    write_together,
 )
+from motionkit.locks import held
 
 ONE_MB = 2**20
 
@@ -108,6 +119,23 @@ def test_json_as_deep_as_may_be_and_brackets_in_strings(tmp_path: Path) -> None:
     assert read_json(tmp_path / "a.json") == json.loads(text)
 
 
+def test_one_level_too_many_is_refused() -> None:
+    parse_json("[" * MAX_JSON_DEPTH + "]" * MAX_JSON_DEPTH, "a")
+    with pytest.raises(MotionkitError, match=f"more than {MAX_JSON_DEPTH} levels"):
+        parse_json("[" * (MAX_JSON_DEPTH + 1) + "]" * (MAX_JSON_DEPTH + 1), "a")
+
+
+@pytest.mark.parametrize(
+    ("value", "whole", "is_one"),
+    [
+        (1, False, True), (2.5, False, True), (3, False, True), (0.99, False, False), (3.01, False, False),
+        (2, True, True), (2.0, True, False), (True, False, False), ("2", False, False), (None, False, False),
+    ],
+)  # fmt: skip
+def test_what_a_number_is(value: object, whole: bool, is_one: bool) -> None:
+    assert is_number(value, 1, 3, whole) == is_one
+
+
 def test_quotes_without_end_take_no_time() -> None:
     with pytest.raises(MotionkitError):
         parse_json('"' + '\\"' * 1_000_000, "file.json")
@@ -185,3 +213,111 @@ def test_lines_end_alike_on_all_systems(tmp_path: Path, monkeypatch: pytest.Monk
     with atomic_write(tmp_path / "text") as file:
         file.write("a\n")
     assert seen == ["\n"] and (tmp_path / "text").read_bytes() == b"a\n"
+
+
+def test_a_new_file_has_the_usual_permissions(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        with atomic_write(tmp_path / "new"):
+            pass
+    finally:
+        os.umask(before)
+    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o640
+
+
+def test_so_many_may_write_one_file(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        for number in range(SLOTS):
+            stack.enter_context(atomic_write(tmp_path / "a")).write(f"{number}")
+        with pytest.raises(MotionkitError, match=f"a: cannot be written .{SLOTS} other runs"):
+            stack.enter_context(atomic_write(tmp_path / "a"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_files_with_the_mark_are_ours(tmp_path: Path) -> None:
+    (tmp_path / "ours").write_bytes(b"x" * (MARKED_BYTES - 9) + b"motionkit")
+    check_foreign([tmp_path / "ours", tmp_path / "missing"])
+    for name, data in (("late", b"x" * (MARKED_BYTES - 8) + b"motionkit"), ("empty", b"")):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(OverwriteError, match=f"{name}: was not written by motionkit"):
+            check_foreign([tmp_path / "ours", tmp_path / name])
+    with pytest.raises(OverwriteError, match="was not written"):
+        check_foreign([tmp_path])
+
+
+def test_files_below_a_folder(tmp_path: Path) -> None:
+    assert files_below(tmp_path / "missing", ".bvh") == []
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    for name in ("a/b/1.BVH", "a/2.bvh", "a/3.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "a" / "loop").symlink_to(tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in files_below(tmp_path, ".bvh")] == [
+        "a/2.bvh",
+        "a/b/1.BVH",
+    ]
+
+
+# ---- killed runs, and two at once ----
+
+# Holds a temporary file of "out" or a lock on it until it is killed.
+HOLDERS = {
+    "file": "from motionkit.files import atomic_write as hold; context = hold('out')",
+    "lock": "from motionkit.locks import held; context = held(__import__('pathlib').Path('out'), 'making it')",
+}
+
+
+@pytest.fixture(params=HOLDERS)
+def holder(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[subprocess.Popen]:
+    code = f"import sys; {HOLDERS[request.param]}; context.__enter__(); print('holds', flush=True); sys.stdin.read()"
+    running = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert running.stdout is not None and running.stdout.readline() == b"holds\n"
+    running.kind = request.param  # type: ignore[attr-defined]
+    yield running
+    running.kill()
+    running.communicate()
+
+
+def test_what_a_killed_run_left_is_known_from_what_a_living_one_holds(
+    holder: subprocess.Popen, tmp_path: Path
+) -> None:
+    def write() -> list[str]:
+        with held(tmp_path / "out", "making it") as notes, atomic_write(tmp_path / "out") as file:
+            file.write("mine")
+        return notes
+
+    is_lock = holder.kind == "lock"  # type: ignore[attr-defined]
+    if is_lock:
+        with pytest.raises(MotionkitError, match=rf"another run is making it \(process {holder.pid} on "):
+            write()
+    else:
+        write()
+    assert len(list(tmp_path.glob(".out.*"))) == 1, "what another run holds stays"
+    holder.kill()
+    holder.wait()
+    told = write()
+    assert [f"process {holder.pid} on" in note for note in told] == ([True] if is_lock else [])
+    assert [file.name for file in tmp_path.iterdir()] == ["out"] and (tmp_path / "out").read_text() == "mine"
+
+
+def test_files_of_others_that_look_like_leftovers_stay(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / ".out.motionkit-0").symlink_to(tmp_path / "mine")
+    (tmp_path / ".out.motionkit-1").mkdir()
+    (tmp_path / ".out.tmp").touch()
+    with atomic_write(tmp_path / "out") as file:
+        file.write("new")
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "mine", "out", ".out.motionkit-0", ".out.motionkit-1", ".out.tmp"
+    }  # fmt: skip
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_files_written_together_stay_if_one_cannot_be_written(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).write_text("old")
+    (tmp_path / "c").mkdir()
+    with pytest.raises(MotionkitError, match="c: is a folder"):
+        write_together({tmp_path / name: b"new" for name in "abc"})
+    assert {(tmp_path / name).read_text() for name in "ab"} == {"old"} and len(list(tmp_path.iterdir())) == 3

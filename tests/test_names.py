@@ -19,6 +19,7 @@ from motionkit.data.labels import find_sources
 from motionkit.errors import DatasetError, ModelError
 from motionkit.models.checkpoint import load_model, save_model
 from motionkit.models.model import MotionModel
+from motionkit.names import visible
 from motionkit.play.requests import parse_request
 
 TYPED = "Hüpfen"
@@ -80,3 +81,14 @@ def test_datasets_of_before(dataset_folder: Path, tmp_path: Path) -> None:
     (folder / "manifest.json").write_text(json.dumps(manifest), "utf-8")
     with pytest.raises(DatasetError, match="distinct names"):
         Dataset(folder)
+
+
+@pytest.mark.parametrize(
+    "mark", ["\n", "\r", "\x1b", "\x7f", "\x9b", "\u2028", "\u2029", "\u202e", "\u2066", "\ud800"]
+)
+def test_marks_that_steer_a_terminal_are_shown(mark: str) -> None:
+    assert visible(f"a{mark}b") == f"a{mark.encode('unicode_escape', 'surrogatepass').decode('ascii')}b"
+
+
+def test_other_letters_stay() -> None:
+    assert visible("Ärger 跳 \u2027\u202f") == "Ärger 跳 \u2027\u202f"

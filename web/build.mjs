@@ -47,7 +47,8 @@ async function page(name) {
   const [folder, head, body] = PAGES[name];
   const source = (file) => readFileSync(join(here, "src", file), "utf8");
   const parts = { __SOURCE__: sourceHash(), __STYLE__: source("lib/theme.css") + source(`${folder}/style.css`), __SCRIPT__: script, __NAME__: name };
-  const notice = "<!-- Contains three.js, MIT licence, copyright 2010-2026 three.js authors -->\n";
+  const licence = readFileSync(join(here, "node_modules/three/LICENSE"), "utf8").trim();
+  const notice = `<!-- Contains three.js:\n\n${licence}\n-->\n`;
   const html = source(`${folder}/index.html`).replace("<head>\n", `<head>\n${notice}`).replace("__HEAD__", head).replace("__BODY__", body);
   return html.replace(/__(SOURCE|STYLE|SCRIPT|NAME)__/g, (mark) => parts[mark]);
 }

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from motionkit.data.preprocess import PreprocessReport
     from motionkit.editing.loop import Loop
     from motionkit.export.clip import Clip
+    from motionkit.finish.finish import Unfinished
     from motionkit.first_model import QuickstartOptions, QuickstartResult, Watcher
     from motionkit.metrics.report import MetricReport
     from motionkit.metrics.value import MetricSettings
@@ -79,6 +80,7 @@ def retarget(
     clip: str | Path | None = None,
 ) -> Clip:
     """Retarget a motion to a user's rig; mk.write saves the result. A .bvh file keeps the rig's hierarchy and channels.
+    A .glb or .vrm file is that of the rig, if it is one, with the motion as one more animation.
 
     Args:
         motion: on the 23 canonical joints in cm, the floor at height zero; a result of synthesize or follow_path, whose
@@ -93,20 +95,23 @@ def retarget(
     Raises:
         MotionkitError: a file cannot be read, or a rig is not human.
     """
-    from motionkit.export.clip import Clip
+    from motionkit.control.synthesize import SynthesisResult
+    from motionkit.export.clip import rig_clip
     from motionkit.finish.on_rig import on_rig
     from motionkit.motion.motion import Motion
     from motionkit.rig.on_rig import read_clip, read_on_any_rig
 
     target = read_rig(rig) if isinstance(rig, (str, Path)) else rig
-    drawn = None
+    drawn: Unfinished | None = None
+    types: tuple[tuple[str, float], ...] = ()
     if isinstance(motion, (str, Path)):
         motion = read_on_any_rig(motion, target)[0]
     elif not isinstance(motion, Motion):
-        drawn = motion.unfinished
-        motion = motion.motion
+        parts = motion.motions[0].types if isinstance(motion, SynthesisResult) else ()
+        types = tuple((part.type, part.seconds) for part in parts)
+        drawn, motion = motion.unfinished, motion.motion
     made = on_rig(motion, target, ik, None if clip is None else read_clip(clip, target), drawn)
-    return Clip(made, channels=target.channels, hierarchy=target.hierarchy)
+    return rig_clip(made, target, "motion", types)
 
 
 def synthesize(types: str | Sequence[str], **options: Unpack[SynthesisWords]) -> SynthesisResult:

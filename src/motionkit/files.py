@@ -10,50 +10,132 @@ import json
 import os
 import re
 import stat
-import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.interrupts import uninterrupted
+from motionkit.locks import lock, names_file, remove_abandoned
 
 MAX_TEXT_BYTES = 64 * 2**20  # bytes, about 67 MB; limit of a label table, a path or a JSON file
 MAX_JSON_DEPTH = 50  # nested lists and objects; deeper ones could exhaust the stack of Python
 MAX_JSON_NODES = 2_000_000  # lists and objects; each takes about a hundred bytes of memory
 MAX_JSON_DIGITS = 40  # digits of an integer; saved states of random generators have 39
+MARKED_BYTES = 4096  # of a file, which say whether motionkit wrote it
+SLOTS = 8  # runs that may write one output at a time
 
 
 @contextmanager
 def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
     """Open a temporary file for writing and rename it to path when the block ends without an error.
 
-    Creates missing parent folders.
+    Creates missing parent folders. Removes what a killed run of the same output has left.
 
     Raises:
         MotionkitError: path cannot be written (it is a folder, the disk is full); path is unchanged then.
     """
+    with _pending(path, mode) as pending:
+        yield pending.file
+        pending.finish()
+        pending.put_in_place()
+
+
+def write_together(contents: Mapping[Path, bytes]) -> None:
+    """Write files that belong together: all are on the disk before the first takes its name, in the order given.
+
+    Raises:
+        MotionkitError: a file cannot be written; if one of them cannot be made, all are unchanged.
+    """
+    with ExitStack() as stack:
+        every = []
+        for path, data in contents.items():
+            pending = stack.enter_context(_pending(path, "wb"))
+            pending.file.write(data)
+            pending.finish()
+            every.append(pending)
+        with uninterrupted():
+            for pending in every:
+                pending.put_in_place()
+
+
+class _Pending:
+    """A temporary file beside its target, locked while its process lives, so that the next run knows leftovers."""
+
+    def __init__(self, target: Path, mode: str) -> None:
+        self.target = target
+        handle, self.temporary = _open_temporary(target)
+        self._guard = os.dup(
+            handle
+        )  # keeps the lock when the file is closed, which Windows needs to rename it
+        text = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}  # same bytes on every system
+        self.file: IO = os.fdopen(handle, mode, **text)  # type: ignore[call-overload]
+
+    def finish(self) -> None:
+        """Bring the file to the disk and close it."""
+        self.file.flush()
+        os.fsync(self.file.fileno())
+        self.file.close()
+        os.chmod(self.temporary, _mode(self.target))
+
+    def put_in_place(self) -> None:
+        """Give the file its name."""
+        if os.name == "nt":
+            self._release()
+        with uninterrupted():
+            os.replace(self.temporary, self.target)
+            self.temporary = ""
+
+    def drop(self) -> None:
+        """Close the file, and remove it unless it is in place."""
+        with suppress(OSError):  # a full disk, which has been told
+            self.file.close()
+        if self.temporary:
+            Path(self.temporary).unlink(missing_ok=True)
+        self._release()
+
+    def _release(self) -> None:
+        if self._guard >= 0:
+            os.close(self._guard)
+        self._guard = -1
+
+
+@contextmanager
+def _pending(path: str | Path, mode: str) -> Iterator[_Pending]:
     path = Path(path)
     _check_place(path)
-    temporary = ""
+    pending = None
     try:
         target = Path(os.path.realpath(path))  # follow a link instead of replacing it
         target.parent.mkdir(parents=True, exist_ok=True)
         with uninterrupted():
-            handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:40]}.", dir=target.parent)
-        text = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}  # same bytes on every system
-        with os.fdopen(handle, mode, **text) as file:  # type: ignore[call-overload]
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, _mode(target))
-        os.replace(temporary, target)
+            pending = _Pending(target, mode)
+        yield pending
     except OSError as error:
         raise MotionkitError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
-        if temporary and os.path.exists(temporary):
-            os.unlink(temporary)
+        if pending is not None:
+            pending.drop()
+
+
+def _open_temporary(target: Path) -> tuple[int, str]:
+    """Make and lock a new file beside target; those that killed runs have left are removed."""
+    name = safe_name(target.name, 200)
+    slots = [f"{target.parent}{os.sep}.{name}.motionkit-{number}" for number in range(SLOTS)]
+    for slot in slots:
+        remove_abandoned(slot)
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+    for slot in slots:
+        try:
+            handle = os.open(slot, flags, 0o600)
+        except FileExistsError:
+            continue
+        if os.name == "nt" or (lock(handle) is not False and names_file(slot, handle)):
+            return handle, slot
+        os.close(handle)  # another run took it for a leftover before it was locked
+    raise OSError(f"{SLOTS} other runs are writing it, or were killed: {slots[0]} and others")
 
 
 def _mode(path: Path) -> int:
@@ -100,6 +182,31 @@ def check_outputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path | N
         written.add(identity)
 
 
+def check_foreign(paths: Iterable[Path], ours: bytes = b"motionkit") -> None:
+    """Check that motionkit wrote the files that would be replaced or removed.
+
+    Args:
+        paths: files, which may be missing.
+        ours: what the first bytes of our files hold.
+
+    Raises:
+        OverwriteError: a file does not hold it.
+    """
+    for path in paths:
+        if path.exists() and not _starts_with(path, ours):
+            raise OverwriteError(
+                f"{path}: was not written by motionkit; choose another folder, or replace it with --force"
+            )
+
+
+def _starts_with(path: Path, mark: bytes) -> bool:
+    """Whether the first bytes of a file hold a mark."""
+    if not path.is_file():
+        return False
+    with open_regular(path, sys.maxsize) as file:
+        return mark in file.read(MARKED_BYTES)
+
+
 def _identity(path: Path) -> object:
     """A key that is equal for two paths to the same file, even if it does not exist yet."""
     try:
@@ -112,8 +219,8 @@ def _identity(path: Path) -> object:
 # ---- folders ----
 
 
-def files_below(folder: str | Path, ending: str) -> list[Path]:
-    """All files below a folder whose names end in `ending` (in any case), sorted.
+def files_below(folder: str | Path, ending: str | tuple[str, ...]) -> list[Path]:
+    """All files below a folder whose names end in `ending`, or one of them (in any case), sorted.
 
     Links to folders are followed. A folder that can be reached in several ways is listed once: by its real path if that
     is below the folder, else by the first link.

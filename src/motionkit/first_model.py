@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 from motionkit.data.dataset import Dataset
 from motionkit.data.folder import MANIFEST, remove_dataset
 from motionkit.errors import DatasetError, MotionkitError, OverwriteError
-from motionkit.files import atomic_write, files_below
+from motionkit.files import atomic_write, check_foreign, files_below
+from motionkit.locks import held
 from motionkit.names import about, counted, duration
+from motionkit.rig.read_file import ENDINGS
 
 if TYPE_CHECKING:
     from motionkit.models.model import MotionModel
@@ -121,14 +123,22 @@ def quickstart(
             verdict.md.
 
     Raises:
-        OverwriteError: a model exists and neither force nor resume is set; output is inside data; or a run that was
-            begun without add is resumed with it.
-        MotionkitError: torch is not installed, or no type can be learnt.
+        OverwriteError: a model exists and neither force nor resume is set; a file is in the way that motionkit did
+            not write; output is inside data; or a run that was begun without add is resumed with it.
+        MotionkitError: torch is not installed, no type can be learnt, or another process makes the model.
         QuickstartStopped: Ctrl-C.
     """
     data, options, watcher = Path(data), options or QuickstartOptions(), watcher or Watcher()
     target = output_folder(data) if output is None else Path(output)
     _check(data, target, options)
+    with held(target, "making this model") as notes:
+        for line in notes:
+            watcher.tell(line)
+        return _quickstart(data, target, options, watcher)
+
+
+def _quickstart(data: Path, target: Path, options: QuickstartOptions, watcher: Watcher) -> QuickstartResult:
+    """Go through the stages that are left."""
     resumes = options.resume or not options.force
     try:
         dataset = _made_dataset(target) if options.resume else None
@@ -173,6 +183,8 @@ def _check(data: Path, target: Path, options: QuickstartOptions) -> None:
         raise OverwriteError("resume cannot be combined with force")
     if begun(target) and not (options.force or options.resume):
         raise OverwriteError(f"{begun(target)}: exists; go on with it by resume, or overwrite it by force")
+    if not options.force:  # --resume writes these anew, too
+        check_foreign([target / name for name in (PAGE, SHEET, VERDICT)])
     if find_spec("torch") is None:
         raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
     if options.device != "auto":  # importing torch takes seconds
@@ -199,7 +211,7 @@ def _made_dataset(target: Path) -> Dataset | None:
 def _tell_changed(data: Path, target: Path, watcher: Watcher) -> None:
     """Report files that are newer than the dataset; the dataset stays as it is."""
     made = (target / DATASET / MANIFEST).stat().st_mtime
-    newer = [path for path in files_below(data, ".bvh") if path.stat().st_mtime > made]
+    newer = [path for path in files_below(data, ENDINGS) if path.stat().st_mtime > made]
     if newer:
         more = f" and {len(newer) - 1} more are" if len(newer) > 1 else " is"
         watcher.tell(

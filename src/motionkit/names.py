@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Iterable
 
 # Characters that control a terminal: control characters, changes of text direction, line and paragraph separators. Also
 # lone surrogates, which stand for undecodable bytes.
@@ -20,6 +21,24 @@ def _escaped(found: re.Match[str]) -> str:
     if 0xDC80 <= code <= 0xDCFF:  # a byte of a file name that is not UTF-8
         return f"\\x{code - 0xDC00:02x}"
     return found[0].encode("unicode_escape").decode("ascii")
+
+
+def joint_names(names: Iterable[str], longest: int) -> tuple[str, ...]:
+    """Unique names of joints that every format can hold: without spaces, braces and control characters.
+
+    Args:
+        names: as a file has them.
+        longest: most characters of a name.
+    """
+    out: dict[str, int] = {}  # each name and the next number for another joint of that name
+    for name in names:
+        name = re.sub(rf"[\s{{}}]+|{_UNSEEN.pattern}", "_", nfc(name).strip())[: longest - 8] or "_"
+        free = name
+        while free in out:
+            out[name] += 1
+            free = f"{name}_{out[name]}"
+        out[free] = 1
+    return tuple(out)
 
 
 def nfc(name: str) -> str:

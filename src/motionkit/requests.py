@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -16,9 +17,10 @@ from motionkit.control.path import Path2D, check_shape_options, read_path, shape
 from motionkit.control.plan import plan_path, plan_types
 from motionkit.control.script import TypePart, parse_types
 from motionkit.control.speeds import check_speeds
+from motionkit.control.staging import natural_seconds
 from motionkit.control.steering import walking_type
 from motionkit.control.synthesize import SynthesisOptions, SynthesisResult
-from motionkit.errors import ControlError, MotionkitError
+from motionkit.errors import ControlError
 from motionkit.models.bundled import open_model
 from motionkit.models.model import MotionModel
 from motionkit.names import nfc
@@ -83,10 +85,9 @@ class SynthesisRequest:
 
     @property
     def frames(self) -> int:
-        """Length of the longest motion in frames at the model's rate. Raises MotionkitError if one has fewer than 2."""
+        """Length of the longest motion in frames at the model's rate. Raises ControlError if one is too short."""
         lengths = [len(plan_types(self.model, plan).track) for plan in self.plans]
-        if min(lengths) < 2:
-            raise MotionkitError(f"expected at least 2 frames, {2.0 / self.model.fps:.2g} s, found 1")
+        synthesize.check_size(min(lengths) / self.model.fps, self.model.fps, self.options)
         return max(lengths)
 
     def run(self, progress: Callable[[int], None] | None = None) -> SynthesisResult:
@@ -123,7 +124,7 @@ def synthesis_request(
     """
     model = (model or open_model()).with_reference(reference)
     texts = [types] if isinstance(types, str) else list(types)
-    plans = [parse_types(text, seconds, model.phase_seconds) for text in texts]
+    plans = [parse_types(text, seconds, partial(natural_seconds, model)) for text in texts]
     for plan in plans:
         for part in plan:
             model.type_id(part.type)

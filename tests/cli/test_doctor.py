@@ -38,9 +38,21 @@ def test_a_folder_without_a_usable_file_is_not_called_well(motionkit, tmp_path: 
     assert "nothing looks wrong" not in said.out and "minutes" not in said.out
 
 
+def test_a_pose_is_no_fault(motionkit, clips_folder: Path, tmp_path: Path) -> None:
+    text = (clips_folder / "walk_01.bvh").read_text()
+    head, _, rows = text.partition("MOTION")
+    (tmp_path / "pose.bvh").write_text("\n".join(f"{head}MOTION{rows}".split("\n")[: head.count("\n") + 5]))
+    (tmp_path / "bones.bvh").write_text(head)
+    said = motionkit("doctor", tmp_path)
+    assert said.code == 0 and "note: a pose, too short to train on (2 clips)" in said.out
+    for name in ("pose.bvh", "bones.bvh"):
+        said = motionkit("retarget", clips_folder / "walk_01.bvh", "--rig", name, "-o", "on.bvh")
+        assert said.code == 0, said.err
+
+
 def test_an_empty_folder(motionkit, tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
-    assert motionkit("doctor", "none").failed_with("no .bvh files found")
+    assert motionkit("doctor", "none").failed_with("no .bvh, .glb or .vrm files found")
 
 
 def test_files_that_are_not_labelled_are_no_fault(motionkit, clips_folder: Path, tmp_path: Path) -> None:

@@ -122,10 +122,19 @@ def test_faults_leave_no_file(synthesize, tmp_path: Path, words: list[str], comp
 
 def test_one_frame_is_no_motion(synthesize, tmp_path: Path) -> None:
     assert synthesize("--types", "idle:0.02", "-o", "one.bvh").failed_with(
-        "at least 2 frames, 0.033 s, found 1"
+        "at least 2 frames, 0.033 s at 60 fps, found"
+    )
+    assert synthesize("--types", "idle:0.3", "--fps", 1, "-o", "one.bvh").failed_with(
+        "2 frames, 1 s at 1 fps"
     )
     assert not (tmp_path / "one.bvh").exists()
     assert synthesize("--types", "idle:0.034", "-o", "two.bvh").code == 0
+
+
+def test_a_file_that_is_replaced_is_told(synthesize, tmp_path: Path) -> None:
+    words = ("--types", "idle:0.1", "--count", 2, "-o", "a.bvh")
+    assert "replaced" not in synthesize(*words).err
+    assert "replaced a-1.bvh and 1 other file" in synthesize(*words).err
 
 
 def test_a_folder_in_the_place_of_the_file(synthesize, tmp_path: Path) -> None:
@@ -159,7 +168,7 @@ def test_a_page_beside_the_motions(synthesize, tmp_path: Path) -> None:
     assert synthesize("--types", "idle:0.2", "--count", 33, "--view").code == 2
 
 
-@pytest.mark.parametrize("value", [3e38, 1e12])
+@pytest.mark.parametrize("value", [1e11, 1e12])
 @pytest.mark.parametrize("command", ["synthesize", "follow-path"])
 def test_a_model_that_goes_astray_leaves_what_is_there(
     motionkit,

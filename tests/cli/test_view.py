@@ -112,6 +112,8 @@ def test_a_broken_clip_leaves_no_sheet(
 ) -> None:
     clip = tmp_path / "clip.bvh"
     clip.write_text(RIG.replace("Frames: 2", "Frames: 3"))
+    assert run(monkeypatch, "view", clip, "--strict", "-o", tmp_path / "sheet.png") == 1
+    clip.write_text(RIG.replace("Frames: 2", "Frames: two"))
     assert run(monkeypatch, "view", clip, "-o", tmp_path / "sheet.png") == 1
     assert "clip.bvh" in capsys.readouterr().err
     assert not (tmp_path / "sheet.png").exists()
@@ -178,14 +180,17 @@ def test_odd_clips_are_shown(
         assert "<script>alert" not in out.read_text("utf-8")
 
 
-def test_a_clip_without_frames_is_one_line(
+def test_a_clip_without_frames_is_its_rest_pose(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clip = tmp_path / "empty.bvh"
     clip.write_text(bvh(["Hips", "A"], 0))
-    assert run(monkeypatch, "view", clip, "-o", tmp_path / "a.gif") == 1
+    assert run(monkeypatch, "view", clip, "--strict", "-o", tmp_path / "a.gif") == 1
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and "empty.bvh" in told and not (tmp_path / "a.gif").exists()
+    assert run(monkeypatch, "view", clip, "-o", tmp_path / "a.png") == 0
+    told = capsys.readouterr().err
+    assert told == "empty.bvh: read with 1 frame of the rest pose, because the file has no motion\n"
 
 
 def test_clips_of_the_same_name_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from motionkit.arrays import Array, spans
 from motionkit.control.follow import PathFollower, follow_path
 from motionkit.control.path import SPACING, Path2D, PathPart, make_path, shape_path
 from motionkit.control.plan import plan_path
-from motionkit.control.speeds import PROFILE, speed_profile
+from motionkit.control.speeds import PROFILE, lateral_limit, speed_profile
 from motionkit.control.synthesize import SynthesisOptions
 from motionkit.errors import ControlError
 from motionkit.metrics.trajectory import trajectory_distance
@@ -61,7 +62,7 @@ def test_an_obedient_body_follows_to_the_end(
     distance = trajectory_distance(track[:, :2], path.points)
     assert distance.mean < mean and distance.max < largest
     assert distance.coverage > 0.95, "no part of the path was left out"
-    assert len(track) / 60 == pytest.approx(path.length / 120.0, rel=0.15), "at the speed asked for"
+    assert len(track) / 60 == pytest.approx(follower.plan.seconds, rel=0.15), "at the planned speed"
 
 
 def test_samples_are_where_the_path_is_at_the_asked_speed(tiny_model: MotionModel) -> None:
@@ -129,12 +130,21 @@ def test_a_performance_after_a_stop_is_shown(tiny_model: MotionModel) -> None:
     assert not any(shown[:60]) and all(is_shown for is_shown, w in zip(shown, of_it, strict=True) if w == 1.0)
 
 
-def test_bodies_slow_down_for_sharp_turns(tiny_model: MotionModel) -> None:
-    there_and_back = make_path([PathPart(np.array([[0.0, 0.0], [0.0, 600.0], [0.0, 0.0]]), "running", 300.0)])
-    speeds = speed_profile(tiny_model, there_and_back)
-    assert speeds[there_and_back.nearest(600.0)] == speeds.min() == 30.0 and speeds[0] == 300.0
-    corner = make_path([PathPart(np.array([[0.0, 0.0], [0.0, 600.0], [300.0, 200.0]]), "running", 300.0)])
-    assert speed_profile(tiny_model, corner).min() == 300.0
+def test_bodies_slow_down_before_turns_the_more_the_sharper(tiny_model: MotionModel) -> None:
+    ways = [(0.0, 300.0), (200.0, 500.0), (300.0, 600.0), (300.0, 200.0), (0.0, 0.0)]
+    corners = [np.array([[0.0, 0.0], [0.0, 600.0], [0.0, 600.0] + 0.5 * np.array(way)]) for way in ways[:3]]
+    corners += [np.array([[0.0, 0.0], [0.0, 600.0], way]) for way in ways[3:]]
+    paths = [make_path([PathPart(points, "running", 300.0)]) for points in corners]
+    slowest = [float(speed_profile(tiny_model, path).min()) for path in paths]
+    assert slowest[0] == 300.0 and all(a > b for a, b in pairwise(slowest))
+    assert slowest[-1] < 60.0, "it turns on the spot"
+
+
+@pytest.mark.parametrize("radius", [1.0, 3.0])
+def test_a_curve_is_gone_at_a_speed_that_its_radius_allows(tiny_model: MotionModel, radius: float) -> None:
+    speeds = speed_profile(tiny_model, shape_path("circle", radius, ["running"], 4.5))
+    most = math.sqrt(100.0 * radius * lateral_limit(tiny_model, "running"))
+    assert speeds[len(speeds) // 2] == pytest.approx(min(450.0, most), rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,13 @@ from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import ControlError, MotionkitError
 from motionkit.models.model import MotionModel
+from motionkit.motion.bvh import write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.reach import reach
 from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
+from motionkit.rig import retarget
+from synthetic_motions import make_walk
 
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
 RUN = str(DATA / "16_45.bvh")
@@ -208,9 +211,62 @@ def test_what_keys_may_not_be(tiny_model: MotionModel, tmp_path: Path, value: ob
     assert "keys.json" in str(fault.value) and "\n" not in str(fault.value)
 
 
+def test_a_file_of_one_frame_is_a_pose(tiny_model: MotionModel, tmp_path: Path) -> None:
+    write_bvh(tmp_path / "pose.bvh", mk.read(RUN).cut(7, 8))
+    (key,) = read_keys(write(tmp_path, {"time": 1, "pose": {"file": "pose.bvh"}}), tiny_model)
+    assert key.pose is not None and not key.pose.step.any() and np.abs(key.pose.turns).max() < 1e-4
+
+
 def test_files_that_are_not_there(tiny_model: MotionModel, tmp_path: Path) -> None:
     with pytest.raises(MotionkitError, match=r"gone\.bvh"):
         read_keys(write(tmp_path, {"time": 1, "pose": {"file": "gone.bvh"}}), tiny_model)
+
+
+def test_a_file_that_is_no_motion_is_not_shown(tiny_model: MotionModel, tmp_path: Path) -> None:
+    (tmp_path / "secret.txt").write_text("\nhunter2 is the password\n")
+    with pytest.raises(ControlError, match=r"key 1: pose: secret\.txt: no BVH file .* at line 2") as fault:
+        read_keys(write(tmp_path, {"time": 1, "pose": {"file": "secret.txt"}}), tiny_model)
+    assert "hunter2" not in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("away", "seconds", "fits"),
+    [(10.0, 1.0, True), (10.01, 1.0, False), (5.5, 0.5, True), (5.51, 0.5, False)],
+)
+def test_the_fastest_way_between_two_keys(away: float, seconds: float, fits: bool) -> None:
+    """9 m/s and a metre more, from the origin and from the key before."""
+    for start in (0.0, 3.0):
+        before = [Key(start, position=np.zeros(2))] if start else []
+        keys = [*before, Key(start + seconds, position=np.array([0.0, 100.0 * away]))]
+        if fits:
+            assert len(check_keys(keys)) == len(keys)
+        else:
+            with pytest.raises(ControlError, match="m from the one before"):
+                check_keys(keys)
+
+
+@pytest.mark.parametrize(("apart", "fits"), [(0.2, True), (0.19, False)])
+def test_the_least_time_between_two_keys(apart: float, fits: bool) -> None:
+    keys = [Key(1.0, facing=0.0), Key(1.0 + apart, facing=0.0)]
+    if fits:
+        assert len(check_keys(keys)) == 2
+    else:
+        with pytest.raises(ControlError, match=r"expected 0\.2 s between keys"):
+            check_keys(keys)
+
+
+def test_each_file_is_read_once(
+    tiny_model: MotionModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in "ab":
+        write_bvh(tmp_path / f"{name}.bvh", make_walk(60))
+    read = []
+    plain = retarget.retarget_file
+    monkeypatch.setattr(retarget, "retarget_file", lambda path: (read.append(path.name), plain(path))[1])
+    poses = [{"time": 0.5 + 0.2 * n, "pose": {"file": f"{'ab'[n % 2]}.bvh"}} for n in range(6)]
+    keys = read_keys(write(tmp_path, *poses), tiny_model)
+    assert sorted(read) == ["a.bvh", "b.bvh"]
+    assert [key.seconds for key in keys] == pytest.approx([pose["time"] for pose in poses])
 
 
 def test_what_cannot_be_met_is_said_in_one_line(tiny_model: MotionModel) -> None:

@@ -75,7 +75,7 @@ def test_the_trajectory_begins_at_the_present_velocity() -> None:
 
 
 def test_numbers_are_in_the_heading_frame() -> None:
-    steering = Steering(FPS, SteeringOptions())
+    steering = Steering(FPS, SteeringOptions(turn_speed=math.inf, turn_aside=math.pi))
     steering.observe(7.0, 9.0, math.pi / 2, False)  # faces +X
     numbers = steering.trajectory((0.0, 100.0), 0.0)  # is to go along +Z, which is to its right
     places, directions = numbers[:12], numbers[12:]
@@ -83,6 +83,18 @@ def test_numbers_are_in_the_heading_frame() -> None:
     turns = [math.atan2(s, c) for s, c in zip(directions[0::2], directions[1::2], strict=True)]
     assert all(a > b for a, b in pairwise(turns)), "turns right all the while"
     assert turns[-1] == pytest.approx(-math.pi / 2, abs=0.02)
+
+
+@pytest.mark.parametrize("speed", [120.0, 300.0])
+def test_a_body_that_turns_back_goes_about_where_it_faces(speed: float) -> None:
+    options = SteeringOptions()
+    track = walk_as_told(Steering(FPS, options), (0.0, -speed), math.pi, 120)
+    turns = [(b[2] - a[2]) * FPS for a, b in pairwise(track)]
+    assert max(map(abs, turns)) < 1.1 * options.turn_speed
+    assert track[-1][2] == pytest.approx(math.pi, abs=0.05)
+    steps = [(b[0] - a[0], b[1] - a[1], b[2]) for a, b in pairwise(track[10:])]
+    ahead = [x * math.sin(heading) + z * math.cos(heading) for x, z, heading in steps]
+    assert min(ahead) > 0.0, "it never goes backwards"
 
 
 def test_an_obedient_body_reaches_velocity_and_facing() -> None:

@@ -21,16 +21,18 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
-from motionkit.export.clip import Clip
+from motionkit.export.clip import Clip, rig_clip
 from motionkit.export.figure import make_figure
 from motionkit.export.formats import write_motion
 from motionkit.export.glb import add_figure
 from motionkit.export.vrma import BONES, humanoid_motion
+from motionkit.finish.on_rig import on_rig
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.rig.gltf import GltfDocument
+from motionkit.rig.on_rig import read_rig
 from synthetic_motions import make_cartwheel, make_walk
 from view.conftest import browser, open_page  # noqa: F401
 
@@ -148,12 +150,15 @@ def test_the_khronos_validator_finds_nothing(
     write_motion(tmp_path / "root.glb", with_ground_root(make_walk(60)))
     write_motion(tmp_path / "one.glb", make_walk(60).cut(0, 1))
     write_avatar(tmp_path / "avatar.vrm", make_walk(2))
+    for source, target in (("avatar.vrm", "hero.vrm"), ("avatar.vrm", "hero.glb"), ("hero.glb", "twice.glb")):
+        rig = read_rig(tmp_path / source)
+        write_motion(tmp_path / target, rig_clip(on_rig(make_walk(60), rig), rig, "walk"))
     paths = [files / "a.glb", files / "a.vrma", *sorted(tmp_path.iterdir())]
     done = subprocess.run(
         [node, "validate.mjs", *map(str, paths)], cwd=JS, capture_output=True, text=True, timeout=60
     )
     reports = json.loads(done.stdout)
-    assert len(reports) == 5
+    assert len(reports) == 8
     for report in reports:
         assert (report["errors"], report["warnings"]) == (0, 0), report
         told = {message["code"] for message in report["messages"]}
@@ -183,6 +188,21 @@ def test_three_js_plays_a_glb(page: Any, files: Path, place: Array, motion: Moti
     assert found["duration"] == pytest.approx((len(motion) - 1) / 60, abs=1e-4)
     (at,) = page.evaluate("([time, names]) => checks.places(time, names)", [SECONDS, [JOINT]])
     assert at == pytest.approx(place, abs=1e-3)
+
+
+def test_three_js_moves_the_users_own_mesh(page: Any, tmp_path: Path) -> None:
+    """The skin is that of the source, and its bones go where the motion on the rig has them."""
+    write_avatar(tmp_path / "hero.vrm", make_walk(2))
+    rig = read_rig(tmp_path / "hero.vrm")
+    made = on_rig(make_walk(120), rig)
+    write_motion(tmp_path / "out.glb", rig_clip(made, rig, "walk"))
+    found = page.evaluate("(file) => checks.open(file)", text_of(tmp_path / "out.glb"))
+    assert found["skinned"] == 5 and found["duration"] == pytest.approx(119 / 60, abs=1e-4)
+    names = ["LeftToeBase", "RightHand"]
+    wanted = motion_kinematics(made)[1][:, [rig.skeleton.names.index(name) for name in names]]
+    for frame in (0, 30, 77):
+        places = page.evaluate("([time, names]) => checks.places(time, names)", [frame / 60, names])
+        assert np.array(places) == pytest.approx(wanted[frame], abs=1e-3)
 
 
 def test_a_vrm_animation_moves_an_avatar_of_another_size(

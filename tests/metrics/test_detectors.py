@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from motionkit.arrays import Array, spans
-from motionkit.metrics.body import Body, body_of
+from motionkit.metrics.body import STANDING_ANKLE, STANDING_TOE, Body, body_of
 from motionkit.metrics.detectors import DETECTORS, detection_windows, take_offs, turns
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import expmap_to_quat, quat_multiply
-from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.motion.rotations import expmap_to_quat, quat_identity, quat_multiply
+from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, canonical_skeleton
 from synthetic_motions import make_cartwheel, make_idle, make_jump, make_walk, placed, standing_rotations
 
 
@@ -175,3 +176,18 @@ def test_the_velocity_is_to_the_left_and_ahead() -> None:
     assert isinstance(body, Body)
     assert body.velocity[:, 1].mean() == pytest.approx(1.2, abs=0.02)
     assert np.abs(body.velocity[:, 0]).mean() < 0.2
+
+
+@pytest.mark.parametrize(("frames", "count"), [(11, 0), (12, 1), (13, 1)])
+@pytest.mark.parametrize(("side", "foot"), [(0.0, "b"), (4.9, "b"), (5.1, "l"), (-5.1, "r")])
+def test_the_shortest_flight_of_a_jump_and_its_foot(frames: int, count: int, side: float, foot: str) -> None:
+    """A body that stands, lifted whole for some frames; before that, one foot is higher than the other."""
+    body = body_of(
+        Motion(canonical_skeleton(), quat_identity((60, JOINT_COUNT)), np.zeros((60, 3), np.float32), 60.0)
+    )
+    positions = np.zeros_like(body.positions)
+    for name, height in (("LeftFoot", STANDING_ANKLE), ("LeftToeBase", STANDING_TOE)):
+        positions[:, JOINT_NAMES.index(name), 1] = height + max(-side, 0.0)
+        positions[:, JOINT_NAMES.index(name.replace("Left", "Right")), 1] = height + max(side, 0.0)
+    positions[20 : 20 + frames, :, 1] += 20.0
+    assert take_offs(replace(body, positions=positions)) == [foot] * count

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from motionkit.errors import MotionkitError
-from motionkit.metrics.leaps import KNEES, fastest_turn, leap_frames, leaps
+from motionkit.metrics.leaps import KNEES, SAME_LEAP, fastest_turn, leap_frames, leaps
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_multiply
 from synthetic_motions import make_walk
@@ -33,6 +33,14 @@ def test_a_jump_away_and_back_is_one_leap_and_two_flips_are_two() -> None:
     assert len(leap_frames(track)) == 1
     track[40:50, 2] = 20.0
     assert leap_frames(track).tolist() == [30, 40, 50]
+
+
+@pytest.mark.parametrize(("apart", "count"), [(SAME_LEAP, 1), (SAME_LEAP + 1, 2)])
+def test_jumps_that_follow_at_once_are_one_leap(apart: int, count: int) -> None:
+    track = np.zeros((60, 3))
+    track[30:, 0] += 20.0
+    track[30 + apart :, 2] += 20.0
+    assert len(leap_frames(track)) == count and SAME_LEAP == 3
 
 
 def test_leaps_are_counted_a_minute_over_knees_and_elbows() -> None:

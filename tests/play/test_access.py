@@ -112,15 +112,64 @@ def test_who_never_sends_the_token_holds_no_place(
             client.read()
 
 
-def test_connections_that_say_nothing_are_bounded(serve: Callable) -> None:
+@pytest.mark.parametrize("kind", ["tcp", "web"])
+def test_silent_connections_do_not_lock_out_who_has_the_token(serve: Callable, kind: str) -> None:
     server = serve(host="0.0.0.0", tcp=0, limits=Limits(clients=1))
-    port = server.addresses.tcp[1]
-    quiet = [socket.create_connection(("127.0.0.1", port), PATIENCE) for _ in range(4)]
-    server.wait_until(lambda: len(server.server._connections) == 4)
-    with socket.create_connection(("127.0.0.1", port), PATIENCE) as connection:
-        assert Lines(connection).read()["message"] == "too many connections"
+    place, token = server.server, server.addresses.token
+    port = server.addresses.tcp[1] if kind == "tcp" else urlsplit(server.addresses.url).port
+    strangers = place._tcp_strangers if kind == "tcp" else place._web_strangers
+    quiet = []
+    for _ in range(20):
+        quiet.append(socket.create_connection(("127.0.0.1", port), PATIENCE))
+    server.wait_until(lambda: len(strangers._open) == strangers.most == 4)
+    if kind == "tcp":
+        with socket.create_connection(("127.0.0.1", port), PATIENCE) as connection:
+            client = Lines(connection)
+            client.send(json.dumps({"token": token}).encode() + b"\n")
+            assert client.read()["event"] == "hello"
+    else:
+        with connect(socket_address(server, f"?token={token}")) as page:
+            assert json.loads(page.recv(PATIENCE))["event"] == "hello"
+            again = [socket.create_connection(("127.0.0.1", port), PATIENCE) for _ in range(9)]
+            page.send(json.dumps({"do": "ping", "stamp": 1}))
+            while True:
+                told = page.recv(PATIENCE)
+                if isinstance(told, str) and json.loads(told)["event"] == "pong":
+                    break
+            quiet += again
     for connection in quiet:
         connection.close()
+    server.wait_until(lambda: not strangers._open)
+
+
+def test_who_left_before_its_turn_holds_no_place(serve: Callable) -> None:
+    server = serve(tcp=0, limits=Limits(clients=2))
+    live = server.server.live
+
+    def busy(seconds: float) -> None:
+        live.slow_work._rested = live.clock() + seconds
+
+    server.ask(lambda: busy(3600.0))
+    left = [socket.create_connection(server.addresses.tcp, PATIENCE) for _ in range(2)]
+    server.wait_until(lambda: live._joining == 2)
+    for connection in left:
+        connection.close()
+    server.wait_until(lambda: live._joining == 0)
+    server.ask(lambda: busy(0.0))
+    with socket.create_connection(server.addresses.tcp, PATIENCE) as connection:
+        assert Lines(connection).read()["event"] == "hello"
+
+
+def test_a_stop_during_joins_is_quiet(serve: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is logged, as the fixture above sees; a client that keeps its connection open is cut off."""
+    monkeypatch.setattr("motionkit.play.live.LOOK_SECONDS", 3600.0)
+    monkeypatch.setattr("motionkit.play.server.CLOSE_SECONDS", 0.1)
+    server = serve(tcp=0)
+    live = server.server.live
+    server.ask(lambda: setattr(live.slow_work, "_rested", live.clock() + 3600.0))
+    for _ in range(8):
+        socket.create_connection(server.addresses.tcp, PATIENCE)
+    server.wait_until(lambda: live._joining == 8)
 
 
 def test_idle_clients_make_room(serve: Callable, tcp: Callable, web: Callable) -> None:
@@ -157,7 +206,9 @@ def test_clients_that_speak_keep_their_places(serve: Callable, tcp: Callable) ->
     assert numbers[0] in server.ask(lambda: list(live.clients))
 
 
-@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "PATCH", "BREW"])
+@pytest.mark.parametrize(
+    "method", ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "PATCH", "BREW", "get", "Head", "M-SEARCH", "B4"]
+)
 @pytest.mark.parametrize("path", ["/", "/live", "/nowhere"])
 def test_other_methods_are_refused(serving: Running, method: str, path: str) -> None:
     for body in (None, b"x" * 200_000 if path == "/" else b"x"):

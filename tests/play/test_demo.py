@@ -306,6 +306,14 @@ def test_a_network_that_the_kernels_cannot_run_writes_nothing(tmp_path: Path) ->
     assert not (tmp_path / "site").exists()
 
 
+def test_a_model_that_makes_no_motion_writes_nothing(tmp_path: Path) -> None:
+    model = load_bundled_model()
+    arrays = {name: np.full_like(array, 1e11) for name, array in model.network.arrays.items()}
+    with pytest.raises(ModelError, match="the roll-out failed"):
+        write_demo(tmp_path / "site", replace(model, network=replace(model.network, arrays=arrays)))
+    assert not (tmp_path / "site").exists()
+
+
 # ---- the page ----
 
 

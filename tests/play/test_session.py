@@ -293,7 +293,7 @@ def test_recordings_have_every_format(session: Session, tmp_path: Path) -> None:
     play(session, 8)
     recorded = ask(session, 1, "record", on=False, format="glb")
     assert recorded is not None and recorded.format == "glb"
-    for name in FORMATS:
+    for name in set(FORMATS) - {"vrm"}:  # which takes an avatar
         (tmp_path / f"a.{name}").write_bytes(file_bytes(recorded.motion, format=name))
     for name in ("bvh", "glb"):
         again = read_motion(tmp_path / f"a.{name}")

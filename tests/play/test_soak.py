@@ -23,7 +23,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-VISITORS = 3  # at a time, beside one that stays
+VISITORS = 7  # at a time, beside one that stays
 WARM_UP = 0.3  # share of the time in which memory may grow
 PATIENCE = 60.0
 

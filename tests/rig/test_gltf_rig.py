@@ -173,15 +173,22 @@ def bone_twice(value: dict[str, Any]) -> None:
     value["extensions"] = {"VRMC_vrm": {"humanoid": {"humanBones": table}}}
 
 
+def bone_elsewhere(value: dict[str, Any]) -> None:
+    value["nodes"].append({"name": "Lamp"})
+    table = {"hips": {"node": 2}, "head": {"node": len(value["nodes"]) - 1}}
+    value["extensions"] = {"VRMC_vrm": {"humanoid": {"humanBones": table}}}
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (mirrored, "node Armature has a negative scale"),
+        (mirrored, "node Armature is mirrored or flat"),
         (circular, "node 2 has two parents|the nodes form a circle"),
         (two_parents, "node 2 has two parents"),
         (two_characters, "two skeletons, below Scene and Other; expected one character per file"),
         (no_leg, "no joint found for LeftUpLeg, LeftLeg"),
         (short_rotation, "expected 4 numbers as rotation of node"),
+        (bone_elsewhere, "has a Head that is not part of its skeleton"),
         (bone_twice, "bone table names Hips twice"),
         (lambda value: value["nodes"][0].update(children=[99]), "expected node numbers below 26"),
         (lambda value: value.update(nodes=[]), "has no nodes"),

@@ -194,6 +194,32 @@ def test_a_head_that_hangs_in_the_rest_pose_is_turned_by_its_top() -> None:
     assert np.rad2deg(quat_angle(result.local_rotations, source.local_rotations)).max() < 8.0
 
 
+@pytest.mark.parametrize(
+    ("joint", "offset", "end"),
+    [("Head", None, (9.0, 1.0, 0.0)), ("ToeBase", (0.0, -5.0, 0.2), (0.0, 0.0, 9.0))],
+    ids=["head ends at its side", "toes under the ankles"],
+)
+def test_ends_that_mislead_do_not_turn_the_body(
+    joint: str, offset: tuple[float, ...] | None, end: tuple[float, float, float]
+) -> None:
+    source = walk()
+    offsets, ends = source.skeleton.offsets.copy(), dict(source.skeleton.end_sites)
+    for index, name in enumerate(JOINT_NAMES):
+        if name.endswith(joint):
+            ends[index] = end
+            offsets[index] = offsets[index] if offset is None else offset
+    made = replace(source, skeleton=replace(source.skeleton, offsets=offsets, end_sites=ends))
+    result, _ = retarget(motion_to_bvh(made))
+    assert np.rad2deg(quat_angle(result.local_rotations, source.local_rotations)).max() < 16.0
+
+
+@pytest.mark.parametrize(
+    "name", ["ik_foot_l", "IK_Hand.R", "LeftFoot_IK", "HeadTop_End", "poleLeftKnee", "root"]
+)
+def test_helpers_are_no_parts_of_the_body(name: str) -> None:
+    assert name_part(name)[1] in ("", "other")
+
+
 def test_arms_that_hang_in_the_rest_pose() -> None:
     """Rest poses are compared, not copied: hanging and level arms give the same result."""
     source = walk()

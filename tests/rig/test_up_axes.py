@@ -15,9 +15,11 @@ from motionkit.motion.bvh import motion_to_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_inverse
+from motionkit.reading import reading
 from motionkit.rig.mirror import mirror_motion
 from motionkit.rig.retarget import retarget
-from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
+from motionkit.rig.units import motion_unit
+from motionkit.rig.up_axis import named_up, turned_world, up_axis, up_name, up_turn
 from motionkit.rig.upright import Upright, in_metres
 
 WALK = Path(__file__).resolve().parents[2] / "examples" / "data" / "06_06.bvh"
@@ -65,6 +67,28 @@ def test_a_body_on_the_floor_for_a_whole_clip_keeps_its_axis(walk: Motion, turn:
     assert np.ptp(positions(lying)[..., 1]) < 0.6 * np.ptp(positions(walk)[..., 1])
     assert up_axis(positions(lying), lying.skeleton).tolist() == [0.0, 1.0, 0.0]
     assert retarget(motion_to_bvh(lying))[1].notes == retarget(motion_to_bvh(walk))[1].notes
+
+
+@pytest.mark.parametrize("name", ["+Y", "+Z"])
+def test_a_body_that_bends_forward_keeps_its_axis(walk: Motion, name: str) -> None:
+    """The rest pose is along Y in either file; the ground tells a kneeling body in a Z-up world from a lying one."""
+    still = replace(walk.cut(0, 60), root_positions=np.repeat(walk.root_positions[:1], 60, axis=0))
+    lean = np.array([np.cos(0.35), np.sin(0.35), 0.0, 0.0], np.float32)
+    bent = turned_world(still, lean)
+    away = np.array([150.0, 3.0 - positions(bent)[..., 1].min(), 200.0], np.float32)
+    made = tilted(replace(bent, root_positions=bent.root_positions + away), named_up(name))
+    assert up_name(up_axis(positions(made), made.skeleton)) == name
+
+
+def test_what_the_user_says_overrides_what_is_found(walk: Motion) -> None:
+    with reading(up="-Z", cm=10.0):
+        brought, upright = in_metres(walk), Upright.of(walk)
+        assert brought.scale == pytest.approx(0.1) and brought.up.tolist() == [0.0, 0.0, -1.0]
+        hips = 10.0 * positions(turned_world(walk, up_turn(brought.up)))[:, 0]
+        assert (
+            np.abs(upright.positions[:, 0] - hips).max() < 3.0
+        )  # canonical hips lie elsewhere between the thighs
+    assert in_metres(walk).scale == pytest.approx(0.01 * motion_unit(walk)[0])
 
 
 def test_repairs_are_the_same(walk: Motion, up: np.ndarray) -> None:

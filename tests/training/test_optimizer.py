@@ -88,7 +88,9 @@ def test_a_step_is_that_of_each_matrix_alone() -> None:
 @pytest.mark.parametrize("name", ["tptn", "tiny"])
 def test_every_parameter_has_one_optimizer(name: str) -> None:
     network = build(preset(name), 30)
-    adamw, muon = make_optimizers(network, network, OptimizerOptions(), False)
+    adamw, muon = make_optimizers(
+        dict(network.named_parameters()), network.layer_matrices(), OptimizerOptions(), False
+    )
     found = [id(p) for each in (adamw, muon) for group in each.param_groups for p in group["params"]]
     assert sorted(found) == sorted(id(p) for p in network.parameters())
     names = {id(p): n for n, p in network.named_parameters()}
@@ -101,13 +103,20 @@ def test_every_parameter_has_one_optimizer(name: str) -> None:
 
 def test_adamw_alone() -> None:
     network = build(preset("tiny"), 30)
-    (adamw,) = make_optimizers(network, network, OptimizerOptions(method="adamw"), False)
+    (adamw,) = make_optimizers(dict(network.named_parameters()), {}, OptimizerOptions(method="adamw"), False)
     assert len(adamw.param_groups[0]["params"]) == len(list(network.parameters()))
 
 
 def test_networks_without_layers_of_parts() -> None:
     network = build(preset("pfnn"), 30)
-    assert len(make_optimizers(network, network, OptimizerOptions(), False)) == 1
+    assert (
+        len(
+            make_optimizers(
+                dict(network.named_parameters()), network.layer_matrices(), OptimizerOptions(), False
+            )
+        )
+        == 1
+    )
 
 
 def test_which_runs_use_muon() -> None:

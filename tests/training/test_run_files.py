@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 
 from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.models.checkpoint import load_model
-from motionkit.training import outcome
+from motionkit.training import outcome, run_state
 from motionkit.training.report import TrainEvent
 from motionkit.training.trainer import train
 
@@ -158,7 +158,7 @@ def _first(tensors: dict[str, torch.Tensor], prefix: str) -> str:
         ("optimizer.momentum.", lambda t: t[:1], "expected (2, "),
         ("average.", lambda t: t.half(), "is of type F16"),
         ("average.", lambda t: None, "is missing"),
-        ("weights.", lambda t: t * torch.nan, "numbers that are NaN or infinite"),
+        ("weights.", lambda t: t * torch.nan, "numbers that are NaN, infinite or above"),
         ("random.cpu", lambda t: t[:7], "has shape (7,), expected"),
         ("random.cpu", lambda t: t.float(), "is of type F32"),
     ],
@@ -242,3 +242,21 @@ def _resumed(
         checkpoint
     ]
     return message
+
+
+@pytest.mark.parametrize(
+    ("block", "fault"),
+    [
+        ({"step": 1000, "progress": 0.0}, None), ({"step": 1999, "progress": 1.0}, None), (None, None),
+        ({"step": 999, "progress": 0.5}, "first step of the block"), ({"step": 1.5, "progress": 0.5}, "first step"),
+        ({"step": 2000, "progress": 0.5}, "first step of the block"), ({"step": 1500, "progress": 1.1}, "progress"),
+        ({"step": 1500}, "progress"), ({}, "first step"), (7, "first step"),
+    ],
+)  # fmt: skip
+def test_the_block_of_a_checkpoint(block: object, fault: str | None) -> None:
+    facts = {"step": 2000, "seconds": 1.0, "options": {}, "block": block}
+    if fault is None:
+        run_state._check_facts(facts)
+    else:
+        with pytest.raises(ModelError, match=fault):
+            run_state._check_facts(facts)

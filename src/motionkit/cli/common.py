@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motionkit.names import visible
+from motionkit.reading import reading
 from motionkit.seeds import LARGEST_SEED
 
 if TYPE_CHECKING:
@@ -72,6 +73,76 @@ def gathered(name: str, record: Callable[..., Any]) -> Callable:
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 model_option = click.option(
     "--model", "model_path", type=EXISTING_FILE, help="Model file; the bundled model by default."
+)
+
+
+def _choose(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    """Callback of --clip: read the animation of this name while the command runs."""
+    if value is not None:
+        context.with_resource(reading(animation=value))
+
+
+def named_animation_option(text: str) -> Callable:
+    return click.option("--clip", "animation", expose_value=False, is_eager=True, callback=_choose, help=text)
+
+
+animation_option = named_animation_option("Animation to read from a .glb or .vrm that has several.")
+animations_option = named_animation_option(
+    "Animation to read from a .glb or .vrm that has several; all takes each of them."
+)
+
+
+def read_strictly(context: click.Context, parameter: click.Parameter, value: bool) -> bool:
+    """Callback of --strict: read files strictly while the command runs."""
+    if value:
+        context.with_resource(reading(strict=True))
+    return value
+
+
+strict_option = click.option(
+    "--strict",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=read_strictly,
+    help="Refuse clips with faults that are otherwise settled and noted, such as a wrong frame count or NaN.",
+)
+
+
+def _read_upright(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    if value:
+        context.with_resource(reading(up=value))
+
+
+def _read_unit(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    if value:
+        from motionkit.rig.units import UNITS, named_unit
+
+        try:
+            context.with_resource(reading(cm=named_unit(value)))
+        except ValueError:
+            known = ", ".join(unit.symbol for unit in UNITS)
+            raise click.BadParameter(f"expected {known} or the cm per unit, found {value!r}") from None
+
+
+# How the clips of a command are read, in place of what is found in them.
+clip_options = together(
+    strict_option,
+    click.option(
+        "--up",
+        type=click.Choice(["X", "Y", "Z", "-X", "-Y", "-Z"], case_sensitive=False),
+        is_eager=True,
+        expose_value=False,
+        callback=_read_upright,
+        help="Axis of the clips that points up; found by default.",
+    ),
+    click.option(
+        "--unit",
+        is_eager=True,
+        expose_value=False,
+        callback=_read_unit,
+        help="Unit of the clips: cm, m, mm, dm, inches, or the centimetres per unit; found by default.",
+    ),
 )
 
 

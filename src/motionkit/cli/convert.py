@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option
+from motionkit.cli.common import PLACE, animations_option, clip_options, gathered, json_option
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, checked_ending, naming
+from motionkit.cli.outputs import Wanted, animation_options, checked_ending, naming
 from motionkit.cli.rig_options import RootMotion, root_options
 
 
@@ -16,25 +16,64 @@ from motionkit.cli.rig_options import RootMotion, root_options
 @click.argument("source", type=PLACE)
 @click.argument("target", type=PLACE, callback=checked_ending)
 @click.option("--fps", type=FiniteRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
+@clip_options
 @root_options
+@animations_option
+@animation_options
 @json_option
 @gathered("root_motion", RootMotion)
-def command(source: Path, target: Path, fps: float | None, root_motion: RootMotion, as_json: bool) -> None:
+def command(
+    source: Path,
+    target: Path,
+    fps: float | None,
+    root_motion: RootMotion,
+    name: str | None,
+    alone: bool,
+    as_json: bool,
+) -> None:
     """Convert a motion file; the endings of SOURCE and TARGET name the formats.
 
-    SOURCE is .bvh of any rig, or a .glb with a skinned skeleton and an animation. TARGET is .bvh, .glb (skeleton,
-    body and animation), .vrma (VRM animation, human rigs only), .usda (UsdSkel), .npz or .csv. Lengths become metres
-    (.glb, .vrma, .usda) or centimetres (.npz, .csv), with Y up; from .bvh to .bvh they stay as they are.
+    SOURCE is .bvh of any rig, or a .glb or .vrm with an animation. TARGET is .bvh, .glb (from .glb that file with one
+    more animation, else skeleton, body and animation), .vrma (VRM animation, human rigs only), .usda (UsdSkel), .npz
+    or .csv. Lengths become metres (.glb, .vrma, .usda) or centimetres (.npz, .csv), with Y up; from .bvh to .bvh they
+    stay as they are. With --clip all, the name of each animation is added to that of TARGET.
     """
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample
+    from motionkit.rig.upright import taken
 
-    outputs = Wanted(target, False, as_json).files("", [source])
-    clip = read_clip(source)
-    motion = root_motion.applied(clip.motion)
-    motion = motion if fps is None else resample(motion, fps)
-    with naming(source):
-        outputs.write(clip.with_motion(motion))
-    joints, frames = len(motion.skeleton), len(motion)
-    facts = {"file": source, "output": target, "frames": frames, "fps": motion.fps, "joints": joints}
-    outputs.report(facts, [f"wrote {target}: {joints} joints, {frames} frames at {motion.fps:g} fps"])
+    for clip_name, file in _targets(source, target):
+        outputs = Wanted(file, False, as_json, name, alone).files("", [source])
+        clip = read_clip(source, clip_name)
+        motion = root_motion.applied(clip.motion)
+        motion = motion if fps is None else resample(motion, fps)
+        with naming(source):
+            outputs.write(clip.with_motion(motion))
+        joints, frames, took = len(motion.skeleton), len(motion), taken(clip.motion)
+        facts = {
+            "file": source,
+            "output": file,
+            "frames": frames,
+            "fps": motion.fps,
+            "joints": joints,
+            "taken": took,
+        }
+        outputs.report(
+            facts, [f"wrote {file}: {joints} joints, {frames} frames at {motion.fps:g} fps", f"  {took}"]
+        )
+
+
+def _targets(source: Path, target: Path) -> list[tuple[str | None, Path]]:
+    """The animations to convert and their files: one, or with --clip all TARGET with the name of each."""
+    from motionkit.files import check_outputs, safe_name
+    from motionkit.reading import ALL, told_animation
+    from motionkit.rig.gltf import GltfFile
+    from motionkit.rig.read_file import is_gltf
+    from motionkit.rig.read_glb import clip_lengths
+
+    if told_animation() != ALL or not is_gltf(source):
+        return [(None, target)]
+    names = [name for name, _ in clip_lengths(GltfFile(source))]
+    files = [target.with_name(f"{target.stem}-{safe_name(name, 80)}{target.suffix}") for name in names]
+    check_outputs(files, [source])
+    return list(zip(names, files, strict=True))

@@ -20,8 +20,9 @@ from motionkit.cli.synthesis_options import reference_option
 )
 @model_option
 @reference_option
+@click.option("--force", is_flag=True, help="Replace files of the same names that motionkit did not write.")
 @json_option
-def command(output: Path, model_path: Path | None, reference: str, as_json: bool) -> None:
+def command(output: Path, model_path: Path | None, reference: str, force: bool, as_json: bool) -> None:
     """Write a web page that runs the model in the browser, without a server of its own.
 
     Any file server can serve the folder; nothing is fetched from elsewhere, and after the first visit the page works
@@ -30,7 +31,7 @@ def command(output: Path, model_path: Path | None, reference: str, as_json: bool
     from motionkit.models.bundled import open_model
     from motionkit.play.demo import write_demo
 
-    sizes = write_demo(output, open_model(model_path, reference))
+    sizes = write_demo(output, open_model(model_path, reference), force)
     if as_json:
         print_json({"folder": output, "bytes": sizes})
         return

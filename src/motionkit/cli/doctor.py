@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import EXISTING, Stages, json_option, labels_option, print_json, stdout_console
+from motionkit.cli.common import (
+    EXISTING,
+    Stages,
+    animations_option,
+    clip_options,
+    json_option,
+    labels_option,
+    print_json,
+    stdout_console,
+)
 from motionkit.errors import MotionkitError
 from motionkit.names import about, counted
 
@@ -23,7 +32,9 @@ NO_LIMIT = 1000  # columns, if the output is not a terminal
 
 @click.command("doctor")
 @click.argument("data", nargs=-1, required=True, type=EXISTING)
+@animations_option
 @labels_option("CSV table of segments, as for preprocess; by default labels.csv in or just above the data.")
+@clip_options
 @json_option
 def command(data: tuple[Path, ...], labels: Path | None, as_json: bool) -> None:
     """Look at BVH files and folders of them (DATA) before training.

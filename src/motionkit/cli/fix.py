@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option, switch
-from motionkit.cli.outputs import Wanted, clip_output_option, naming, shown_name
+from motionkit.cli.common import PLACE, animation_option, clip_options, gathered, json_option, switch
+from motionkit.cli.outputs import Wanted, animation_options, clip_output_option, naming, shown_name
 from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 @switch("--trembling/--no-trembling", "Filter the trembling of markers.")
 @switch("--floor/--no-floor", "Set the floor to height zero.")
 @switch("--sliding/--no-sliding", "Hold feet still while they touch the floor.")
+@animation_option
+@animation_options
+@clip_options
 @click.option("--view", is_flag=True, help="Also write a web page that plays both motions, and open it.")
 @json_option
 @gathered("wanted", Wanted)
@@ -35,6 +38,7 @@ def command(clip: Path, wanted: Wanted, **repairs: bool) -> None:
     """
     from motionkit.editing.fix import Repairs, fix_motion
     from motionkit.export.formats import read_clip
+    from motionkit.rig.upright import taken
     from motionkit.view.figure_data import Shown
 
     wanted.check()
@@ -47,9 +51,16 @@ def command(clip: Path, wanted: Wanted, **repairs: bool) -> None:
     before, after = Shown(f"{clip.stem} before", source.motion), Shown(f"{clip.stem} after", fixed.motion)
     outputs.show(lambda: [before, after])
     rows = [asdict(row) for row in fixed.table]
-    facts = {"output": outputs.file, "table": rows, "glitches": fixed.glitches, "notes": fixed.notes}
+    took = taken(source.motion)
+    facts = {
+        "output": outputs.file,
+        "table": rows,
+        "glitches": fixed.glitches,
+        "notes": fixed.notes,
+        "taken": took,
+    }
     wrote = f"wrote {shown_name(outputs.file)}: {len(source.motion)} frames at {source.motion.fps:g} fps"
-    outputs.report(facts, [wrote, _table(fixed), *(f"  {note}" for note in fixed.notes)])
+    outputs.report(facts, [wrote, f"  {took}", _table(fixed), *(f"  {note}" for note in fixed.notes)])
 
 
 def _table(fixed: Fixed) -> Table:

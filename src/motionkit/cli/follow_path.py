@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import Stages, remark
+from motionkit.cli.common import Stages, read_strictly, remark
 from motionkit.cli.finite import FINITE
 from motionkit.cli.outputs import Wanted, output_option, shown_name
 from motionkit.cli.synthesis_options import (
@@ -34,7 +34,13 @@ if TYPE_CHECKING:
 )
 @click.option("--size", type=FINITE, help="Named shapes: length, radius or side in metres.")
 @click.option("--speed", type=FINITE, help="Named shapes: speed in m/s; each type's own by default.")
-@click.option("--strict", is_flag=True, help="Refuse speeds at which a gait does not look right.")
+@click.option(
+    "--strict",
+    is_flag=True,
+    is_eager=True,
+    callback=read_strictly,
+    help="Refuse speeds at which a gait does not look right, and clips with faults that are otherwise settled.",
+)
 @synthesis_options
 def command(path: str, types: str | None, making: Making, wanted: Wanted, **shape: Any) -> None:
     """Make a character follow PATH and write BVH or another format.

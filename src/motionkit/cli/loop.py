@@ -6,9 +6,16 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, gathered, json_option, remark
+from motionkit.cli.common import PLACE, animation_option, clip_options, gathered, json_option, remark
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, clip_output_option, naming, shown_name, view_option
+from motionkit.cli.outputs import (
+    Wanted,
+    animation_options,
+    clip_output_option,
+    naming,
+    shown_name,
+    view_option,
+)
 from motionkit.cli.rig_options import RootMotion, root_options
 from motionkit.errors import MotionkitError
 
@@ -26,7 +33,10 @@ from motionkit.errors import MotionkitError
     is_flag=True,
     help="Begin at the origin and face +Z; by default the cycle keeps the place and the heading of CLIP.",
 )
+@clip_options
 @root_options
+@animation_option
+@animation_options
 @view_option
 @json_option
 @gathered("root_motion", RootMotion)
@@ -41,6 +51,7 @@ def command(
     """
     from motionkit.editing.loop import make_loop
     from motionkit.export.formats import read_clip
+    from motionkit.rig.upright import taken
     from motionkit.view.figure_data import Shown
 
     wanted.check()
@@ -56,5 +67,6 @@ def command(
         remark(note)
     cut = {"start": loop.start, "end": loop.end, "seconds": loop.seconds, "difference_cm": loop.difference}
     length = f"frames {loop.start} to {loop.end} of {clip.name}, {loop.seconds:.2f} s"
-    lines = [f"wrote {shown_name(outputs.file)}: {length}", f"  {loop.seam.sentence()}"]
-    outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict()}, lines)
+    took = taken(source.motion)
+    lines = [f"wrote {shown_name(outputs.file)}: {length}", f"  {loop.seam.sentence()}", f"  {took}"]
+    outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict(), "taken": took}, lines)

@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
@@ -17,6 +18,7 @@ from motionkit.cli.common import STOPPED, remark
 from motionkit.cli.version import version_option
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.interrupts import postpone
+from motionkit.reading import reading
 
 # One thread for numpy: its products are small here, and several threads cost more than they save, most of all on a busy
 # machine. torch has its own threads. Set this before numpy is imported.
@@ -55,7 +57,8 @@ class CommandGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand; KeyboardInterrupt becomes Stopped, because click would print an empty line."""
         try:
-            return super().invoke(ctx)
+            with reading(hear=_remark_once()):
+                return super().invoke(ctx)
         except KeyboardInterrupt:
             raise Stopped from None
 
@@ -66,6 +69,18 @@ class CommandGroup(click.Group):
         if name not in COMMANDS:
             return None
         return importlib.import_module(f"motionkit.cli.{COMMANDS[name]}").command
+
+
+def _remark_once() -> Callable[[str], None]:
+    """Prints the notes on files that are read; some commands read a file twice."""
+    told: set[str] = set()
+
+    def hear(note: str) -> None:
+        if note not in told:
+            told.add(note)
+            remark(note)
+
+    return hear
 
 
 @click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"]})

@@ -13,6 +13,7 @@ from motionkit.cli.common import (
     EXISTING,
     EXISTING_FILE,
     Stages,
+    animation_option,
     gathered,
     json_option,
     option,
@@ -20,6 +21,7 @@ from motionkit.cli.common import (
     remark,
     say,
     stdout_console,
+    strict_option,
 )
 from motionkit.cli.finite import FINITE, FiniteRange
 from motionkit.cli.outputs import Outputs, default_output, view_option
@@ -161,7 +163,9 @@ class Measuring:
 @_positive("--generated-scale", "Centimetres per unit of GENERATED; detected by default.")
 @_positive("--fps", "Frame rate of GROUND_TRUTH, if its header is wrong.")
 @_positive("--generated-fps", "Frame rate of GENERATED, if its header is wrong.")
+@animation_option
 @view_option
+@strict_option
 @json_option
 @click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV, one row per metric.")
 @gathered("settings", _settings)
@@ -287,13 +291,14 @@ def _view(
     ground_truth: Path, generated: Path | None, fps: tuple[float | None, float | None], quiet: bool
 ) -> Path:
     """Write a viewer page of the unchanged files to the current folder."""
-    from motionkit.motion.bvh import bvh_to_motion, read_bvh
+    from motionkit.motion.bvh import bvh_to_motion
+    from motionkit.rig.read_file import read_file
     from motionkit.view.figure_data import Shown
 
     files = [file for file in (ground_truth, generated) if file is not None]
     words = ("ground truth", "generated") if generated is not None else ("",)
     shown = [
-        Shown(visible(f"{file.stem} {word}".strip()), bvh_to_motion(read_bvh(file), fps=rate))
+        Shown(visible(f"{file.stem} {word}".strip()), bvh_to_motion(read_file(file), fps=rate))
         for file, word, rate in zip(files, words, fps, strict=False)
     ]
     page = default_output("-".join(file.stem for file in files), ".html")

@@ -6,7 +6,17 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import EXISTING, PLACE, Stages, json_option, print_json, remark, say
+from motionkit.cli.common import (
+    EXISTING,
+    PLACE,
+    Stages,
+    animation_option,
+    json_option,
+    print_json,
+    read_strictly,
+    remark,
+    say,
+)
 from motionkit.errors import MotionkitError
 
 
@@ -14,14 +24,21 @@ from motionkit.errors import MotionkitError
 @click.argument("source", type=EXISTING)
 @click.argument("target", required=False, type=PLACE)
 @click.option("-o", "--output", type=PLACE, help="TARGET, as other commands have it.")
-@click.option("--strict", is_flag=True, help="Folders: stop at the first file that cannot be mirrored.")
+@click.option(
+    "--strict",
+    is_flag=True,
+    callback=read_strictly,
+    help="Settle no fault of a file; in folders, stop at the first.",
+)
+@animation_option
 @json_option
 def command(source: Path, target: Path | None, output: Path | None, strict: bool, as_json: bool) -> None:
     """Write the mirror image of a BVH file: same hierarchy and channels, left and right swapped.
 
     SOURCE and TARGET are two files or two folders. In folders, every .bvh file below SOURCE is mirrored to
-    the same place below TARGET; links to folders are followed. TARGET must be another file, or a folder
-    outside SOURCE: the command never overwrites its input.
+    the same place below TARGET; links to folders are followed. From a .glb or .vrm to such a file, the mirror
+    image is added to its animations. TARGET must be another file, or a folder outside SOURCE: the command never
+    overwrites its input.
     """
     if (target is None) == (output is None):
         raise click.UsageError("give one place to write to, as TARGET or with -o")
@@ -30,13 +47,35 @@ def command(source: Path, target: Path | None, output: Path | None, strict: bool
     if source.is_dir():
         _mirror_folder(source, target, strict, as_json)
         return
-    from motionkit.rig.mirror import mirror_file
+    from motionkit.rig.read_file import is_gltf
 
-    mirror_file(source, target)
+    if is_gltf(source):
+        _mirror_character(source, target)
+    else:
+        from motionkit.rig.mirror import mirror_file
+
+        mirror_file(source, target)
     if as_json:
         print_json({"mirrored": [{"file": str(source), "output": str(target)}], "failed": []})
     else:
         say(f"wrote {target}: the mirror image of {source}")
+
+
+def _mirror_character(source: Path, target: Path) -> None:
+    """Write the mirror image of an animation of a .glb or .vrm, into that file if TARGET is one."""
+    from dataclasses import replace
+
+    from motionkit.cli.outputs import naming
+    from motionkit.export.formats import check_ending, read_clip, write_motion
+    from motionkit.files import check_outputs
+    from motionkit.rig.mirror import mirror_motion
+
+    check_ending(target)
+    check_outputs([target], [source])
+    clip = read_clip(source)
+    with naming(source):
+        mirrored = mirror_motion(clip.motion)
+    write_motion(target, replace(clip.with_motion(mirrored), name=f"{clip.name}-mirrored"))
 
 
 def _mirror_folder(source: Path, target: Path, strict: bool, as_json: bool) -> None:

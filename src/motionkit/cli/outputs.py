@@ -7,28 +7,40 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import PLACE, print_json, stderr_console, stdout_console
+from motionkit.cli.common import PLACE, print_json, remark, stderr_console, stdout_console, together
 from motionkit.cli.showing import open_in_browser
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.files import check_outputs, safe_name
+from motionkit.names import counted
 
 if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
     from motionkit.export.clip import Clip
     from motionkit.view.figure_data import Shown
 
-FORMATS = ("bvh", "glb", "vrma", "usda", "npz", "csv")  # as in export.formats, which is slow to import
+FORMATS = ("bvh", "glb", "vrm", "vrma", "usda", "npz", "csv")  # as in export.formats, which is slow to import
 ENDINGS = f"{', '.join(f'.{name}' for name in FORMATS[:-1])} or .{FORMATS[-1]}"
 STDOUT = Path("-")
 
 view_option = click.option(
     "--view", is_flag=True, help="Also write a web page that plays the motion, and open it."
+)
+animation_options = together(
+    click.option(
+        "--name", help="Name of the animation in a .glb or .vrm; by default from the types or the clip."
+    ),
+    click.option(
+        "--replace",
+        "alone",
+        is_flag=True,
+        help="Leave out the animations that the user's .glb or .vrm has; by default they stay beside the new one.",
+    ),
 )
 
 
@@ -84,11 +96,13 @@ def naming(clip: Path, kind: type[MotionkitError] = SkeletonError) -> Iterator[N
 
 @dataclass(frozen=True)
 class Wanted:
-    """The options -o, --view and --json."""
+    """The options -o, --view and --json, --name and --replace."""
 
     output: Path | None
     view: bool
     as_json: bool
+    name: str | None = None
+    alone: bool = False
 
     def check(self, count: int = 1) -> None:
         """Raise UsageError for options that BVH on standard output excludes."""
@@ -119,10 +133,17 @@ class Wanted:
         if self.output == STDOUT:
             check_outputs(also, inputs)
             return Outputs((STDOUT,), None, self.as_json)
+        inputs = list(inputs)
+        if self.output is not None and self.output.suffix.lower() == ".vrm":
+            if not any(Path(path).suffix.lower() == ".vrm" for path in inputs if path is not None):
+                raise click.UsageError(
+                    "a .vrm is an avatar: give one with --rig avatar.vrm, or write its animation as .vrma"
+                )
         base = self.output or default_output(name, files=everything)
         check_outputs([*everything(base), *also], inputs)
         page = base.with_suffix(".html") if self.view else None
-        return Outputs(tuple(motions(base)), page, self.as_json)
+        replaced = tuple(path for path in everything(base) if path.exists())
+        return Outputs(tuple(motions(base)), page, self.as_json, replaced, self.name, self.alone)
 
 
 @dataclass(frozen=True)
@@ -133,11 +154,17 @@ class Outputs:
         files: motion files; "-" is standard output.
         page: the page of --view, or None.
         as_json: print JSON, and do not open a browser.
+        replaced: those that were there before.
+        name: name of the animation; None for that of the clip.
+        alone: without the other animations of the character's file.
     """
 
     files: tuple[Path, ...]
     page: Path | None
     as_json: bool
+    replaced: tuple[Path, ...] = ()
+    name: str | None = None
+    alone: bool = False
 
     @property
     def file(self) -> Path:
@@ -153,6 +180,7 @@ class Outputs:
         """Write a motion to one of the files; an invalid motion leaves no file."""
         from motionkit.export.formats import write_motion
 
+        clip = replace(clip, name=self.name or clip.name, alone=self.alone)
         if self.files[number] != STDOUT:
             write_motion(self.files[number], clip)
             return
@@ -174,7 +202,10 @@ class Outputs:
             open_in_browser(self.page.resolve().as_uri())
 
     def report(self, facts: dict[str, Any], lines: Iterable[Any]) -> None:
-        """Print the result: the facts with --json, else the lines and tables; then the page."""
+        """Print the result: the facts with --json, else the lines and tables; then the page. Says what was replaced."""
+        if self.replaced:
+            more = f" and {counted(len(self.replaced) - 1, 'other file')}" if len(self.replaced) > 1 else ""
+            remark(f"replaced {self.replaced[0]}{more}")
         if self.as_json:
             print_json(facts | ({"view": self.page} if self.page else {}))
             return

@@ -129,6 +129,8 @@ def command(
     Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). With --rig,
     characters have the body of that file, and recordings and TCP frames are on its joints. Ctrl-C stops the server.
     """
+    if listening.recording_format == "vrm" and (choice.rig is None or choice.rig.character is None):
+        raise click.UsageError("--format vrm takes an avatar: give one with --rig avatar.vrm")
     try:
         import websockets  # noqa: F401
     except ImportError:

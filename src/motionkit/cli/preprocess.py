@@ -14,6 +14,7 @@ from motionkit.cli.common import (
     EXISTING,
     FOLDER,
     Stages,
+    animations_option,
     json_option,
     labels_option,
     option,
@@ -58,6 +59,7 @@ SHOWN_SKIPS = 20  # skipped files that are listed by name
     type=click.Choice(LAYOUT_CHOICES),
     help="Version of the 276 features; the preset tptn-paper needs expmap-root-1.",
 )
+@animations_option
 @switch("--smooth/--raw", "Filter out marker jitter (7 Hz low-pass), or keep the recorded rotations.")
 @switch(
     "--level/--no-level",
@@ -71,7 +73,9 @@ SHOWN_SKIPS = 20  # skipped files that are listed by name
     help="Model file whose reference rotations the features are relative to, so that training can begin from it; "
     "own takes the mean rotations of the data.",
 )
-@click.option("--strict", is_flag=True, help="Stop at the first file that cannot be used.")
+@click.option(
+    "--strict", is_flag=True, help="Stop at the first file that cannot be used; settle no fault of a file."
+)
 @switch(
     "--validation/--no-validation",
     "Hold out a tenth of the training files, of types with at least four, to choose settings by.",
@@ -179,4 +183,8 @@ def _lines(report: PreprocessReport) -> Iterator[str]:
         f"{sum(file.leaps for file in used)} leaps cut out, floor moved in {len(moved)} files, "
         f"levelled in {len(slopes)}{steepest}"
     )
+    noted = [note for file in used for note in file.notes]
+    yield from noted[:SHOWN_SKIPS]
+    if len(noted) > SHOWN_SKIPS:
+        yield f"... and {len(noted) - SHOWN_SKIPS} more notes; --json lists all"
     yield f"files: {len(used)} used, {len(report.files) - len(used)} skipped"

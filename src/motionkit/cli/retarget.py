@@ -12,15 +12,17 @@ import click
 from motionkit.cli.common import (
     EXISTING_FILE,
     FILE,
+    animation_option,
     gathered,
     json_option,
     print_json,
     remark,
     stdout_console,
+    strict_option,
     switch,
 )
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, output_option, shown_name, view_option
+from motionkit.cli.outputs import Wanted, animation_options, output_option, shown_name, view_option
 from motionkit.cli.rig_options import RigChoice, clip_option, map_option, open_rig, rig_option
 from motionkit.names import counted
 
@@ -85,6 +87,7 @@ class Rigs:
 @rig_option
 @map_option
 @clip_option
+@animation_option
 @click.option(
     "--save-map",
     type=FILE,
@@ -106,6 +109,8 @@ class Rigs:
     "--ik/--no-ik",
     "Put the feet of the rig on the floor and hold them where those of SOURCE stand; --no-ik copies the pose.",
 )
+@animation_options
+@strict_option
 @view_option
 @json_option
 @gathered("rigs", Rigs)
@@ -113,7 +118,7 @@ class Rigs:
 def command(
     source: Path | None, rigs: Rigs, scale: float | None, fps: float | None, ik: bool, wanted: Wanted
 ) -> None:
-    """Write the motion of SOURCE, a BVH file of any human rig, on the rig of another file.
+    """Write the motion of SOURCE, a BVH, GLB or VRM file of any human rig, on the rig of another file.
 
     Without --rig, the motion is written on the 23 canonical joints. Without SOURCE, the command shows how it
     understands the --rig: which joint is which, how sure that is, and what is unusual.
@@ -121,7 +126,7 @@ def command(
     wanted.check()
     if source is None:
         if wanted.output is not None:
-            raise click.UsageError("-o needs SOURCE, the BVH file to retarget")
+            raise click.UsageError("-o needs SOURCE, the file to retarget")
         _inspect(rigs, wanted.as_json)
         return
     choice = rigs.open()
@@ -136,11 +141,12 @@ def command(
     made = choice.on_rig(motion, ik)
     outputs.write(choice.clip_of(made, outputs.file.stem))
     saved = rigs.save(choice.rig or known, source)
-    from motionkit.motion.bvh import bvh_to_motion, read_bvh
+    from motionkit.motion.bvh import bvh_to_motion
+    from motionkit.rig.read_file import read_file
     from motionkit.view.figure_data import Shown
 
     outputs.show(
-        lambda: [Shown(source.stem, bvh_to_motion(read_bvh(source))), Shown(outputs.file.stem, made)]
+        lambda: [Shown(source.stem, bvh_to_motion(read_file(source))), Shown(outputs.file.stem, made)]
     )
     facts = {
         "file": outputs.file,
@@ -161,7 +167,7 @@ def command(
 def _inspect(rigs: Rigs, as_json: bool) -> None:
     """Show the bone map of a rig, and save it if asked."""
     if rigs.rig_path is None:
-        raise click.UsageError("give SOURCE, a BVH file to retarget, or --rig, a rig to look at")
+        raise click.UsageError("give SOURCE, a file to retarget, or --rig, a rig to look at")
     from motionkit.files import check_outputs
 
     if rigs.save_map:

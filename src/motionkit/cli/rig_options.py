@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import EXISTING_FILE, gathered, option, together
+from motionkit.cli.common import EXISTING_FILE, gathered, option, strict_option, together
 
 if TYPE_CHECKING:
     from motionkit.export.clip import Clip
@@ -22,7 +22,7 @@ rig_option = click.option(
     "rig_path",
     type=EXISTING_FILE,
     help="Write the motion on the rig of this file (.bvh, .glb, .vrm): same joints, names, rest pose, channels, unit "
-    "and axes; by default on the 23 canonical joints.",
+    "and axes; by default on the 23 canonical joints. From .glb and .vrm to such a file, the whole character is kept.",
 )
 map_option = click.option(
     "--map",
@@ -118,12 +118,10 @@ class RigChoice:
         return self.way.applied(made, cyclic), from_rig(made, self.rig)
 
     def clip_of(self, motion: Motion, name: str, types: Sequence[tuple[str, float]] = ()) -> Clip:
-        """The clip to write for a motion from put; a BVH file gets the hierarchy and channels of the rig."""
-        from motionkit.export.clip import Clip
+        """The clip to write for a motion from put; the file gets what the rig's file has besides motion."""
+        from motionkit.export.clip import Clip, rig_clip
 
-        if self.rig is None:
-            return Clip(motion, name, types)
-        return Clip(motion, name, types, self.rig.channels, self.rig.hierarchy)
+        return Clip(motion, name, types) if self.rig is None else rig_clip(motion, self.rig, name, types)
 
 
 def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | None) -> RigChoice:
@@ -149,5 +147,5 @@ def open_written(
     return replace(open_rig(rig_path, map_path, clip_path), way=RootMotion(in_place, root))
 
 
-rig_options = together(rig_option, map_option, clip_option, gathered("choice", open_rig))
+rig_options = together(rig_option, map_option, clip_option, strict_option, gathered("choice", open_rig))
 written_options = together(root_options, rig_option, map_option, clip_option)

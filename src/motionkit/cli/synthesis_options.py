@@ -14,6 +14,7 @@ from motionkit.cli.common import (
     gathered,
     json_option,
     model_option,
+    named_animation_option,
     option,
     remark,
     seed_option,
@@ -21,7 +22,7 @@ from motionkit.cli.common import (
     together,
 )
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, view_option
+from motionkit.cli.outputs import Wanted, animation_options, view_option
 from motionkit.cli.rig_options import RigChoice, open_written, written_options
 
 if TYPE_CHECKING:
@@ -105,8 +106,9 @@ synthesis_options: Callable = together(
     click.option(
         "--init",
         type=EXISTING_FILE,
-        help="Start from the first frames of this BVH file; from a pose in the model by default.",
+        help="Start from the first frames of this file (.bvh, .glb, .vrm); from a pose in the model by default.",
     ),
+    named_animation_option("Animation of the --init or --from file, if that is a .glb or .vrm with several."),
     noise_options,
     reference_option,
     switch("--ik/--no-ik", "Hold feet while they touch the floor; --no-ik writes the raw network output."),
@@ -114,6 +116,7 @@ synthesis_options: Callable = together(
         "--fps", type=FiniteRange(1, 480), help="Frame rate of the file; the model's 60 by default."
     ),
     written_options,
+    animation_options,
     view_option,
     json_option,
     gathered("choice", open_written),

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import EXISTING_FILE, Stages, option, print_json, remark, stdout_console
+from motionkit.cli.common import (
+    EXISTING_FILE,
+    Stages,
+    option,
+    print_json,
+    remark,
+    stdout_console,
+    strict_option,
+)
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import Outputs, Wanted, output_option, shown_name
 from motionkit.cli.synthesis_options import (
@@ -58,6 +66,7 @@ if TYPE_CHECKING:
     type=EXISTING_FILE,
     help="JSON file of poses, places and joints to meet at given times (docs/keys.md).",
 )
+@strict_option
 @synthesis_options
 def command(
     types: tuple[str, ...],

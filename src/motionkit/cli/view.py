@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from motionkit.cli.common import EXISTING_FILE, PLACE, Stages, json_option, option, print_json, say
+from motionkit.cli.common import (
+    EXISTING_FILE,
+    PLACE,
+    Stages,
+    animation_option,
+    clip_options,
+    json_option,
+    option,
+    print_json,
+    say,
+)
 from motionkit.cli.outputs import default_output, naming
 from motionkit.cli.showing import open_in_browser
 from motionkit.names import counted, visible
@@ -55,6 +65,8 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
     type=click.IntRange(160, 8000),
     help="Width in pixels: contact sheet 600 to 8000 (default 1800), GIF (480) or video (960) 160 to 3840.",
 )
+@animation_option
+@clip_options
 @json_option
 def command(
     clips: tuple[Path, ...],
@@ -102,14 +114,11 @@ def command(
 
 
 def _read(clip: Path) -> Motion:
-    """Read the motion of a .glb file, or of a BVH file with any ending."""
-    if clip.suffix.lower() == ".glb":
-        from motionkit.export.formats import read_motion
+    """Read the motion of a .glb or .vrm file, or of a BVH file with any ending."""
+    from motionkit.motion.bvh import bvh_to_motion
+    from motionkit.rig.read_file import read_file
 
-        return read_motion(clip)
-    from motionkit.motion.bvh import bvh_to_motion, read_bvh
-
-    return bvh_to_motion(read_bvh(clip))
+    return bvh_to_motion(read_file(clip))
 
 
 def _names(clips: Sequence[Path]) -> list[str]:

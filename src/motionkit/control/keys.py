@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.errors import ControlError
-from motionkit.features.encode import encode_motion
+from motionkit.errors import BvhError, ControlError
+from motionkit.features.encode import EncodedMotion, encode_motion
 from motionkit.files import read_json
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
@@ -85,9 +85,14 @@ class Key:
         return np.asarray(points)[[0, 2]]
 
 
-def clip_pose(model: MotionModel, motion: Motion, frame: int) -> tuple[KeyPose, Array]:
-    """Pose and place (3,), x, z, heading, of a frame of a canonical motion in cm at the model's rate."""
-    encoded = encode_motion(motion, model.reference_rotations, model.config.layout)
+def clip_pose(
+    model: MotionModel, motion: Motion, frame: int, encoded: EncodedMotion | None = None
+) -> tuple[KeyPose, Array]:
+    """Pose and place (3,), x, z, heading, of a frame of a canonical motion in cm at the model's rate.
+
+    encoded: the motion's features; computed if None.
+    """
+    encoded = encoded or encode_motion(motion, model.reference_rotations, model.config.layout)
     x, z, heading = encoded.ground[frame].tolist()
     back = quat_from_yaw(np.array(-heading, np.float32))
     rotations = motion.local_rotations[frame].copy()
@@ -116,7 +121,9 @@ def read_keys(path: str | Path, model: MotionModel) -> tuple[Key, ...]:
     entries = value.get("keys") if isinstance(value, dict) else None
     if not isinstance(entries, list) or not 0 < len(entries) <= MOST_KEYS:
         raise ControlError(f'{path}: expected {{"keys": [...]}} with 1 to {MOST_KEYS} keys')
-    keys = [_key(Path(path), number, entry, model) for number, entry in enumerate(entries, 1)]
+    files = _Files(Path(path).parent, model)
+    by_file = sorted(enumerate(entries, 1), key=lambda numbered: _file_of(numbered[1]))
+    keys = [_key(f"{path}: key {number}", entry, files) for number, entry in by_file]
     try:
         return check_keys(keys)
     except ControlError as error:
@@ -152,8 +159,7 @@ def check_length(keys: Sequence[Key], seconds: float) -> None:
         )
 
 
-def _key(path: Path, number: int, entry: Any, model: MotionModel) -> Key:
-    where = f"{path}: key {number}"
+def _key(where: str, entry: Any, files: _Files) -> Key:
     if not isinstance(entry, dict):
         raise ControlError(f"{where}: expected an object, found {str(entry)[:40]}")
     unknown = sorted(set(entry) - set(_FIELDS))
@@ -183,7 +189,13 @@ def _key(path: Path, number: int, entry: Any, model: MotionModel) -> Key:
             raise ControlError(
                 f"{where}: {JOINT_NAMES[joint]} at a height of {place[1] / METRE:g} m is out of reach"
             )
-    return replace(key, pose=_pose(where, path.parent, entry["pose"], model)) if "pose" in entry else key
+    return replace(key, pose=_pose(where, entry["pose"], files)) if "pose" in entry else key
+
+
+def _file_of(entry: Any) -> str:
+    """The file that a key's pose names, to take the keys of a file one after another."""
+    pose = entry.get("pose") if isinstance(entry, dict) else None
+    return str(pose.get("file", "")) if isinstance(pose, dict) else ""
 
 
 def _joint(where: str, name: str) -> int:
@@ -204,20 +216,54 @@ def _numbers(where: str, name: str, values: Any, count: int, least: float = -1e5
     return np.array(values, np.float64)
 
 
-def _pose(where: str, folder: Path, entry: Any, model: MotionModel) -> KeyPose:
-    from motionkit.rig.retarget import retarget_file
-
-    known = ("file", "seconds")
+def _pose(where: str, entry: Any, files: _Files) -> KeyPose:
+    known = ("file", "seconds", "clip")
     if not isinstance(entry, dict) or not isinstance(entry.get("file"), str) or set(entry) - set(known):
         raise ControlError(f'{where}: pose: expected {{"file": "a.bvh", "seconds": 1.5}}')
     seconds = _numbers(where, "pose: seconds", [entry.get("seconds", 0.0)], 1, 0.0, 1e5)[0]
-    motion = resample(retarget_file(folder / entry["file"])[0], model.fps)
-    frame = round(float(seconds) * model.fps)
-    if frame >= len(motion) or len(motion) < 2:
-        raise ControlError(
-            f"{where}: pose: {entry['file']} lasts {motion.seconds:.2f} s, found {seconds:g} s"
-        )
-    return clip_pose(model, motion, frame)[0]
+    clip = entry.get("clip")
+    if clip is not None and not isinstance(clip, str):
+        raise ControlError(f"{where}: pose: clip: expected the name of an animation of {entry['file']}")
+    try:
+        return files.pose(entry["file"], float(seconds), clip)
+    except ControlError as error:
+        raise ControlError(f"{where}: pose: {error}") from None
+
+
+class _Files:
+    """The motions that keys name. Only the last is kept, as a thousand long ones would fill the memory."""
+
+    def __init__(self, folder: Path, model: MotionModel) -> None:
+        self.folder, self.model = folder, model
+        self._read: dict[tuple[str, str | None], tuple[Motion, EncodedMotion]] = {}
+
+    def pose(self, name: str, seconds: float, animation: str | None = None) -> KeyPose:
+        """The pose of a file at a time. Raises ControlError if the file is no motion, or shorter."""
+        if (name, animation) not in self._read:
+            self._read = {(name, animation): self._open(name, animation)}
+        motion, encoded = self._read[name, animation]
+        frame = round(seconds * self.model.fps)
+        if frame >= len(motion):
+            raise ControlError(f"{name} lasts {motion.seconds:.2f} s, found {seconds:g} s")
+        return clip_pose(self.model, motion, frame, encoded)[0]
+
+    def _open(self, name: str, animation: str | None) -> tuple[Motion, EncodedMotion]:
+        from motionkit.rig.retarget import retarget_file
+
+        try:
+            clip, _ = retarget_file(self.folder / name, clip=animation)
+        except BvhError as error:
+            if error.line is None:
+                raise
+            # Not what it found: keys from others could name a private file.
+            raise ControlError(f"{name}: no BVH file that can be read, at line {error.line}") from None
+        motion = resample(clip, self.model.fps)
+        if len(motion) == 1:  # a pose; it stands still
+            turns, places = (
+                np.repeat(each, 2, 0) for each in (motion.local_rotations, motion.root_positions)
+            )
+            motion = replace(motion, local_rotations=turns, root_positions=places)
+        return motion, encode_motion(motion, self.model.reference_rotations, self.model.config.layout)
 
 
 def smoothed_step(x: Array) -> Array:

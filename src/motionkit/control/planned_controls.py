@@ -33,7 +33,7 @@ def plan_controls(model: MotionModel, plan: Plan, choice: int = 0) -> Controls:
         else:
             player.begin(segment.type, paused=paused, settles=segment.settles)
         clip, at = player.clip, player.at
-        controls = player.play(segment.count)
+        controls = player.play(segment.count, whole=True)
         if segment.settles:
             controls = settling(controls, before, model.fps)
         elif before is not None and clip is not None and not paused:

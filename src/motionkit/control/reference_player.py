@@ -11,6 +11,7 @@ from motionkit.control.motion_index import pose_state
 from motionkit.control.recording_choice import MATCHING, RecordingChoice
 from motionkit.control.reference_controls import OWN_SHARE, ReferenceControls, rhythm_of
 from motionkit.features.control import Controls
+from motionkit.features.reference import PAUSE
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind, ReferenceClip
 
@@ -119,18 +120,19 @@ class ReferencePlayer:
         first = ahead.index(True)
         return ahead.index(False, first) if False in ahead[first:] else len(ahead)
 
-    def play(self, frames: int, trajectories: Array | None = None) -> Controls:
+    def play(self, frames: int, trajectories: Array | None = None, whole: bool = False) -> Controls:
         """Controls (frames, ...) of the next frames; at the end of a clip the player enters another one.
 
         Args:
             trajectories: (frames, 24) requested trajectories, if any.
+            whole: whether these are all frames; a performance that would not end within them does not begin.
         """
         parts: list[Controls] = []
         played = 0
         while played < frames:
             wanted = None if trajectories is None else trajectories[played:]
             if self.clip is not None and self.at >= self._end(wanted is None):
-                self._go_on(None if wanted is None else wanted[0])
+                self._go_on(None if wanted is None else wanted[0], frames - played if whole else None)
             elif wanted is not None and self._since >= MATCHING.every:
                 self._reconsider(wanted[0])
             count = frames - played
@@ -148,10 +150,17 @@ class ReferencePlayer:
             return len(self.clip)
         return self.recordings.brakes(self.kind, self.clip, self.at)
 
-    def _go_on(self, trajectory: Array | None) -> None:
-        """Enter the next clip, after a pause if there is no time for a blend."""
+    def _go_on(self, trajectory: Array | None, frames: int | None) -> None:
+        """Enter the next clip, after a pause if there is no time for a blend.
+
+        Args:
+            frames: those that are left to play, if known; with too few for a whole performance its last pose is held.
+        """
         left = self.clip
         assert left is not None
+        if frames is not None and left.performed and frames < PAUSE + len(left):
+            self.pause = Pause(left, left, len(left) - 1)
+            return
         speed = None if trajectory is None else asked_speed(trajectory, self.model.fps)
         phased = self.model.kind(self.kind).phased
         self.begin(self.kind, trajectory=None if phased else trajectory, speed=speed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from motionkit.errors import ControlError
@@ -21,14 +21,14 @@ class TypePart:
 
 
 def parse_types(
-    text: str, seconds: float | None = None, usual: Callable[[str], float] | None = None
+    text: str, seconds: float | None = None, usual: Callable[[Sequence[str]], list[float]] | None = None
 ) -> list[TypePart]:
     """Parse "running,cartwheel" or "running:4,cartwheel:3" into parts.
 
     Args:
         seconds: total duration; parts without a time share what the others leave.
-        usual: returns the usual seconds of a type, or 0 for none. Without seconds, a part without a time takes these,
-            or DEFAULT_SECONDS.
+        usual: returns the usual seconds of each type of a list, 0 for none. Without seconds, a part without a time
+            takes these, or DEFAULT_SECONDS.
 
     Raises:
         ControlError: for a part without a type, or a time that is not a positive number.
@@ -52,8 +52,12 @@ def parse_types(
         # Every part has a time: stretch all to the total.
         return [TypePart(name, time * seconds / given) for name, time in timed if time is not None]
     else:
-        natural = {name: usual(name) if usual else 0.0 for name in free}
-        return [TypePart(name, time or natural[name] or DEFAULT_SECONDS) for name, time in timed]
+        names = [name for name, _ in timed]
+        natural = usual(names) if usual else [0.0] * len(names)
+        return [
+            TypePart(name, time or own or DEFAULT_SECONDS)
+            for (name, time), own in zip(timed, natural, strict=True)
+        ]
     return [TypePart(name, share if time is None else time) for name, time in timed]
 
 

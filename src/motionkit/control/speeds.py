@@ -23,9 +23,10 @@ class ProfileSettings:
     slowest: float = 20.0  # cm/s; least speed of a part
     creep: float = 10.0  # cm/s at a stop
     acceleration: float = 220.0  # cm/s^2; 98 % of the frames of recorded runs brake less
-    sharp: float = -0.8  # cosine between the directions before and after a turn that needs slowing down
-    turn_speed: float = 30.0  # cm/s at such a turn; faster bodies leap around it
-    beside_turn: int = 3  # points of the path to both sides that give the directions
+    beside_turn: int = 8  # points of the path to both sides between which a turn is measured
+    lateral: float = 150.0  # cm/s^2 towards the inside of a curve, for a type without recordings
+    lateral_share: float = 0.98  # quantile of recorded lateral accelerations; frames above it are outliers
+    stride: float = 0.5  # s over which their velocities are measured, because hips sway with every step
     too_slow: float = 0.99  # share of the slowest recorded speed of a run, below which a body walks
     short: float = 0.5  # share of a performance's duration below which a part may be too short for it
 
@@ -110,8 +111,7 @@ def speed_profile(model: MotionModel, path: Path2D) -> Array:
     The path begins at full speed, because start poses are in motion.
     """
     speeds = part_speeds(model, path)[path.part].astype(np.float64)
-    sharp = _sharp_turns(path)
-    speeds[sharp] = np.minimum(speeds[sharp], PROFILE.turn_speed)
+    speeds = np.minimum(speeds, _turn_speeds(model, path))
     for place, _ in path.stops:
         speeds[path.nearest(place)] = PROFILE.creep
     # At constant acceleration the square of the speed is linear in arc length, so its slope is limited both ways.
@@ -137,13 +137,30 @@ def shown_types(model: MotionModel, path: Path2D, speeds: Array) -> Array:
     return shown
 
 
-def _sharp_turns(path: Path2D) -> Array:
-    """Whether the path turns sharply at each point (N,)."""
-    beside = PROFILE.beside_turn
-    before, after = path.tangents[: -2 * beside], path.tangents[2 * beside :]
-    sharp = np.zeros(len(path.points), bool)
-    sharp[beside : len(sharp) - beside] = (before * after).sum(axis=-1) < PROFILE.sharp
-    return sharp
+def _turn_speeds(model: MotionModel, path: Path2D) -> Array:
+    """The speed (N,) in cm/s at which a body leans into the turn at each point as far as recorded ones."""
+    beside, most = PROFILE.beside_turn, len(path.points) - 1
+    places = np.arange(most + 1)
+    first, last = np.maximum(places - beside, 0), np.minimum(places + beside, most)
+    turns = np.arccos(np.clip((path.tangents[first] * path.tangents[last]).sum(axis=-1), -1.0, 1.0))
+    radii = (last - first) * SPACING / np.maximum(turns, 1e-6)
+    lateral = np.array([lateral_limit(model, part.type) for part in path.parts])[path.part]
+    return np.sqrt(lateral * radii)
+
+
+def lateral_limit(model: MotionModel, kind: str) -> float:
+    """Acceleration in cm/s^2 towards the inside of a curve that recordings of a type show, at least PROFILE.lateral.
+
+    Raises ControlError for an unknown type.
+    """
+    model.type_id(kind)
+    span = round(PROFILE.stride * model.fps)
+    found = [np.zeros(1)]
+    for clip in model.types[kind].reference_clips:
+        velocity = (clip.ground[span:, :2] - clip.ground[:-span, :2]) * (model.fps / span)
+        bend = np.abs(np.diff(np.unwrap(np.arctan2(velocity[:, 0], velocity[:, 1])))) * model.fps
+        found.append(bend * np.linalg.norm(velocity[1:], axis=-1))
+    return max(float(np.quantile(np.concatenate(found), PROFILE.lateral_share)), PROFILE.lateral)
 
 
 def acceleration_limit(model: MotionModel, kinds: Iterable[str]) -> float | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from motionkit.control.script import TypePart
 from motionkit.features.control import TRAJECTORY_OFFSETS
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import MotionKind
+from motionkit.models.motion_type import RUN_SPEED, MotionKind
 
 Pair = tuple[float, float]
 STANDS_BELOW = 15.0  # cm/s; below this speed the character stands; chosen
@@ -44,6 +44,9 @@ class SteeringOptions:
         smoothing: share of each frame in the measured velocity, because hips sway with every step.
         settled_within: lack of speed, as a share of the wish, at which the root-slip correction fades to 0.
         leave_anchor: cm; a standing body that is moved further stays there instead of returning.
+        turn_speed: radians/s that the facing turns at most; faster bodies leave the ground with both feet.
+        turn_share: least share of the speed of a body that turns back.
+        turn_aside: largest angle in radians between velocity and facing while a walk turns; a run goes where it faces.
     """
 
     halflife: float = 0.1
@@ -53,6 +56,9 @@ class SteeringOptions:
     smoothing: float = 0.2
     settled_within: float = 0.08
     leave_anchor: float = 60.0
+    turn_speed: float = 4.0
+    turn_share: float = 0.5
+    turn_aside: float = math.pi / 4
 
 
 GAIT_CHOICE = GaitChoice()
@@ -207,6 +213,8 @@ class Steering:
         assert self._before is not None and self._facing is not None
         x, z, heading = self._before
         stands = math.hypot(*velocity) < STANDS_BELOW
+        if facing is not None:
+            velocity, facing = self._turning(velocity, facing)
         goal = (0.0, 0.0) if stands else velocity
         anchor = self._hold(x, z) if stands else None
         if not stands:
@@ -222,6 +230,19 @@ class Steering:
         for turn in turns:
             out += (math.sin(turn), math.cos(turn))
         return out
+
+    def _turning(self, velocity: Pair, facing: float) -> tuple[Pair, float]:
+        """The velocity and the facing to approach: a body turns about where it faces, and slows down to turn back."""
+        assert self._facing is not None
+        off = nearest_turn(facing - self._facing[0])
+        # From rest, a spring at distance d turns by up to d * rate / e.
+        most = self.options.turn_speed * math.e / spring_rate(self.options.turn_halflife)
+        share = min(max(1.0 + math.cos(off), self.options.turn_share), 1.0)
+        aside = 0.0 if math.hypot(*velocity) > RUN_SPEED else self.options.turn_aside
+        back = -math.copysign(max(abs(off) - aside, 0.0), off)
+        sine, cosine = math.sin(back), math.cos(back)
+        ahead = cosine * velocity[0] + sine * velocity[1], cosine * velocity[1] - sine * velocity[0]
+        return (share * ahead[0], share * ahead[1]), self._facing[0] + min(max(off, -most), most)
 
     def settled(self, velocity: Pair) -> float:
         """Factor on the root-slip correction, 0 to 1: small while the body lacks speed in the wished direction.

@@ -17,14 +17,16 @@ from motionkit.control.plan import Plan, plan_keys, plan_types
 from motionkit.control.planned_controls import CrowdController
 from motionkit.control.script import TypePart
 from motionkit.control.speeds import acceleration_limit
+from motionkit.control.staging import rested, staged
 from motionkit.errors import ControlError
 from motionkit.finish.finish import Finish, Unfinished
+from motionkit.free_memory import check_memory
 from motionkit.inference.noise import Noise, default_noise
 from motionkit.inference.rollout import Controller, Rollout, RolloutState, rollout_motion, run
 from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
-from motionkit.motion.skeleton import Skeleton, leg_length
+from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, leg_length
 from motionkit.seeds import check_seed
 
 MAX_FRAMES = 500_000  # of all characters together, at the higher of model and file rate; takes 4 GB of memory
@@ -106,6 +108,8 @@ def synthesize(
 ) -> SynthesisResult:
     """Synthesize motion types one after another; the same seed gives the same motion.
 
+    Performances are shown whole, from a stand or run-up to a stand (control/staging.py).
+
     All characters run in one batch with successive seeds; each moves as it would alone with its seed. parts is one list
     for all characters, or several lists that they take in turn. options.character may hold several names, separated by
     commas, which they also take in turn.
@@ -121,22 +125,24 @@ def synthesize(
     bodies, openings, plans = [], [], []
     for i in range(options.count):
         own = asked[i % len(asked)]
+        begins = (staged(model, own) if init is None else own)[0].type
         bodies.append(model.moved_skeleton(names[i % len(names)]))
-        openings.append(opening(model, own[0].type, bodies[-1], init, options.seed + i))
-        plans.append(plan_types(model, own, openings[-1].shown))
+        openings.append(opening(model, begins, bodies[-1], init, options.seed + i))
+        own = staged(model, own, None if init is None else openings[-1].shown)
+        plans.append(rested(model, plan_types(model, own, openings[-1].shown), options.seed + i))
     state = _begun(model, options, bodies, openings, plans)
     controller: Controller = CrowdController(model, plans, options.seed, state.frame)
     if options.keys:
         keyed = plan_keys(plans[0], options.keys)
         controller = KeyedController(model, controller, keyed, openings[0], model.body_scale(names[0]))
-    limits = [acceleration_limit(model, [part.type for part in own]) for own in asked]
+    limits = [acceleration_limit(model, [part.type for part in plan.parts]) for plan in plans]
     started = time.perf_counter()
     rollout = run(state, max(len(plan.track) for plan in plans), controller, progress)
     seconds = time.perf_counter() - started
     motions = []
     for i, plan in enumerate(plans):
         mine = rollout.first(len(plan.track))
-        skeleton, most = skeletons[i % len(skeletons)], limits[i % len(asked)]
+        skeleton, most = skeletons[i % len(skeletons)], limits[i]
         hold = model.root_hold(plan.weights)
         drawn = unfinished(model, mine, i, skeleton, most, hold)
         motion, raw = finished(model, drawn, skeleton, options)
@@ -166,14 +172,21 @@ def _begun(
 
 
 def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
-    """Raise ControlError for more motion than memory holds."""
-    fps = max(model_fps, options.fps or 0.0)
+    """Raise MotionkitError for more motion than memory holds, or less than two frames of the file."""
+    rate = options.fps or model_fps
+    least = 1.0 / rate + 1.0 / model_fps  # as resample counts frames
+    if seconds < least - 1e-9:
+        raise ControlError(
+            f"expected at least 2 frames, {least:.2g} s at {rate:g} fps, found {seconds:.2g} s"
+        )
+    fps = max(model_fps, rate)
     most = MAX_FRAMES / options.count / fps
     if seconds > most:
         raise ControlError(
             f"{seconds:.0f} s of motion for each of {options.count} at {fps:g} fps are "
             f"{seconds * fps * options.count:,.0f} frames, expected at most {MAX_FRAMES:,}: {most:.0f} s for each"
         )
+    check_memory(round(seconds * fps * options.count), JOINT_COUNT, fps * options.count)
 
 
 def _asked(

@@ -39,6 +39,7 @@ GROUPED = 6  # fewest clips of a type that are searched for two groups
 # A clip looks like another type if the distance to that type's centre is below this share of the distance to its own
 # type's centre, and the latter exceeds FAR.
 NEARER = 0.5
+POSE_FRAMES = 3  # a file with as many frames or fewer is a pose
 HELD_OUT = ("validation", "test")
 SPEED_SCALE = 10.0  # cm/s over the ground that weigh as much as 1 cm per joint
 
@@ -237,10 +238,13 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], Stan
         len(cleaning.pops) + len(reading.leaps),
         notes=(
             *filter(None, (beyond_end(source.segments, reading.frames), missing)),
+            *(note.partition(": ")[2] for note in reading.notes),
             *rig.notes,
             *cleaning.notes,
         ),
     )
+    if reading.frames <= POSE_FRAMES:
+        return replace(facts, notes=("a pose, too short to train on", *facts.notes)), [], None
     if not stretches:
         fault = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames"
         return replace(facts, fault=fault), [], None

@@ -25,6 +25,7 @@ from motionkit.files import read_bytes
 from motionkit.motion.bvh_text import MAX_BYTES
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
+from motionkit.reading import reading
 from motionkit.rig.retarget import RetargetReport, retarget_file
 
 FPS = 60.0
@@ -40,6 +41,7 @@ class FileReport:
         fault: whether the file is invalid.
         leaps: number of discontinuities at which the motion was cut.
         labels: what is wrong with its labels; "" if nothing is.
+        notes: what was settled to read it.
     """
 
     name: str
@@ -52,6 +54,7 @@ class FileReport:
     leaps: int = 0
     sha256: str = ""
     labels: str = ""
+    notes: tuple[str, ...] = ()
 
 
 class Run(NamedTuple):
@@ -128,6 +131,7 @@ class Reading:
         rig, cleaning: reports of retargeting and cleaning.
         fps, frames: rate and length of the file itself.
         leaps: first frame of the motion after each discontinuity.
+        notes: what was settled to read the file.
     """
 
     motion: Motion
@@ -136,6 +140,7 @@ class Reading:
     fps: float
     frames: int
     leaps: list[int]
+    notes: tuple[str, ...] = ()
 
     def place(self, segment: Segment, whole: bool = True) -> tuple[int, int]:
         """First and last frame (exclusive) of the motion in a segment, which counts frames of the file.
@@ -157,11 +162,13 @@ def read_source(source: SourceFile, options: PreprocessOptions, plant: bool = Tr
         plant: as for retarget.
     """
     fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
-    motion, rig = retarget_file(source.path, options.scale, fps, options.own_bodies, plant)
+    notes: list[str] = []
+    with reading(strict=options.strict or None, hear=notes.append):
+        motion, rig = retarget_file(source.path, options.scale, fps, options.own_bodies, plant, source.clip)
     cleaned, cleaning = clean(motion)
     whole = resample(cleaned, FPS)
     leaps = find_leaps(motion_kinematics(whole)[1])
-    return Reading(whole, rig, cleaning, motion.fps, len(motion), leaps)
+    return Reading(whole, rig, cleaning, motion.fps, len(motion), leaps, tuple(notes))
 
 
 def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
@@ -172,13 +179,13 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
         report.skipped = source.skip_reason
         return Prepared(report, motion_file, (), [], [], None)
     try:
-        reading = read_source(source, options)
-        report.labels = beyond_end(source.segments, reading.frames)
+        found = read_source(source, options)
+        report.labels = beyond_end(source.segments, found.frames)
         report.sha256 = hashlib.sha256(read_bytes(source.path, MAX_BYTES)).hexdigest()
     except MotionkitError as error:
         report.skipped, report.fault = str(error), True
         return Prepared(report, motion_file, (), [], [], None)
-    motion, rig = reading.motion, reading.rig
+    motion, rig, report.notes = found.motion, found.rig, found.notes
     report.mapping = {
         "source_joints": rig.source_joints,
         "missing": list(rig.missing),
@@ -187,9 +194,9 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
         "leg_length": rig.leg_length,
         "notes": list(rig.notes),
     }
-    report.cleaning = asdict(reading.cleaning)
-    report.leaps = len(reading.leaps)
-    runs = _runs(source.segments, reading)
+    report.cleaning = asdict(found.cleaning)
+    report.leaps = len(found.leaps)
+    runs = _runs(source.segments, found)
     if not runs:
         report.skipped = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames at 60 fps"
         return Prepared(report, motion_file, (), [], [], None)
@@ -203,16 +210,16 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
     return Prepared(report, motion_file, runs, body, own_body, moment, poses, falls)
 
 
-def _runs(segments: Sequence[Segment], reading: Reading) -> tuple[Run, ...]:
+def _runs(segments: Sequence[Segment], found: Reading) -> tuple[Run, ...]:
     """Stretches of a motion without gaps and discontinuities, of at least MIN_CLIP_FRAMES frames.
 
     Adjacent segments stay together, so that the model learns real transitions between types.
     """
     runs: list[Run] = []
     for segment in segments:
-        for start, end in cut_at_leaps(*reading.place(segment), reading.leaps):
+        for start, end in cut_at_leaps(*found.place(segment), found.leaps):
             before = runs[-1] if runs else None
-            leapt = start in reading.leaps
+            leapt = start in found.leaps
             if before and before.end >= start - 1 and before.split == segment.split and not leapt:
                 spans = (*before.spans, (before.end, end, segment.type))
                 runs[-1] = before._replace(end=end, spans=spans)

@@ -17,6 +17,7 @@ import numpy as np
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.files import read_json
 from motionkit.interrupts import uninterrupted
+from motionkit.locks import held
 
 MANIFEST = "manifest.json"
 ARRAYS = ("features", "contacts", "ground", "types", "phases")
@@ -57,8 +58,8 @@ def staging_folder(target: Path) -> Iterator[tuple[Path, list[str]]]:
     Raises:
         DatasetError: another run holds the lock.
     """
-    with _locked(target):
-        notes = _put_right(target)
+    with held(target, "making this dataset", DatasetError) as notes:
+        notes += _put_right(target)
         staging = None
         try:
             with uninterrupted():
@@ -132,50 +133,6 @@ def _remove(folder: Path, names: frozenset[str] | set[str]) -> None:
         for name in names:
             (folder / name).unlink(missing_ok=True)
         folder.rmdir()
-
-
-@contextmanager
-def _locked(target: Path) -> Iterator[None]:
-    """Hold the lock of a target; the operating system releases it if the process is killed."""
-    path = target.parent / f".{target.name}.lock"
-    handle, ours = None, False
-    try:
-        with uninterrupted():
-            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-            ours = _lock(handle)
-        if not ours:
-            raise DatasetError(
-                f"{target}: another run is making this dataset; wait for it or choose another folder"
-            )
-        yield
-    finally:
-        if (
-            ours and os.name != "nt"
-        ):  # before the lock is released, so that nobody else locks an unlinked file
-            path.unlink(missing_ok=True)
-        if handle is not None:
-            os.close(handle)
-        if os.name == "nt":
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
-
-
-def _lock(handle: int) -> bool:
-    """Lock an open file; False if another process holds the lock. True on file systems without locks."""
-    try:
-        if os.name == "nt":
-            import msvcrt
-
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-        else:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return os.name != "nt"  # on Windows a held lock is a PermissionError
-    return True
 
 
 class ArrayWriter:

@@ -11,9 +11,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from motionkit.errors import DatasetError
+from motionkit.errors import DatasetError, MotionkitError
 from motionkit.files import files_below, read_text
 from motionkit.names import nfc
+from motionkit.reading import ALL, told_animation
+from motionkit.rig.gltf import GltfFile
+from motionkit.rig.read_file import ENDINGS, is_gltf
+from motionkit.rig.read_glb import clip_lengths
 from motionkit.rig.sides import other_side
 
 MAX_FRAME = 10**9
@@ -52,48 +56,70 @@ def beyond_end(segments: Sequence[Segment], frames: int) -> str:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A BVH file with its segments; a file without segments is skipped, and skip_reason says why."""
+    """A file with its segments; a file without segments is skipped, and skip_reason says why.
+
+    clip is the animation of a .glb or .vrm; name then ends in "#" and that name, unless the file has no other.
+    """
 
     path: Path
     name: str
     segments: tuple[Segment, ...]
     skip_reason: str = ""
+    clip: str | None = None
 
 
 def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[list[SourceFile], Path | None]:
-    """All BVH files below the folders with their segments, each file once, and the label table if there is one.
+    """All files of motion below the folders with their segments, each once, and the label table if there is one.
 
     By default a labels.csv in one of the folders or their parents is used. Without a table, the type of a file is
-    the name of its folder. For a file directly in a given folder it is the file's name without its number.
+    the name of its folder. For a file directly in a given folder it is the file's name without its number, or the
+    animation's, if a file has several. Which of them are taken, motionkit.reading says.
 
     Raises:
-        DatasetError: there are no BVH files, or the label table is invalid.
+        DatasetError: there are no files, or the label table is invalid.
     """
     found: list[tuple[Path, Path]] = []
     for folder in folders:
         if folder.exists() and not folder.is_dir():  # a pipe is refused later, as it is read
             found.append((folder, folder.parent))
             continue
-        found.extend((path, folder) for path in files_below(folder, ".bvh"))
+        found.extend((path, folder) for path in files_below(folder, ENDINGS))
     once: dict[str, tuple[Path, Path]] = {}
     for path, folder in found:  # one of the folders may be inside another
         once.setdefault(_key(path), (path, folder))
     found = list(once.values())
     if not found:
-        raise DatasetError(f"{', '.join(str(f) for f in folders)}: no .bvh files found")
+        raise DatasetError(f"{', '.join(str(f) for f in folders)}: no .bvh, .glb or .vrm files found")
     table = labels if labels is not None else _nearby_labels(folders)
     if table is None:
-        return [_by_name(path, folder) for path, folder in found], None
+        return [source for path, folder in found for source in _by_name(path, folder)], None
     rows = read_labels(table)
     by_path = _by_path(table, rows)
     by_name = _unique_basenames(rows)
     sources = []
     for path, folder in found:
-        segments = by_path.get(_key(path)) or by_name.get(nfc(path.name).lower())
         name = path.relative_to(folder.parent).as_posix() if path.is_relative_to(folder.parent) else path.name
-        reason = "" if segments else f"not in {table.name}"
-        sources.append(SourceFile(path, name, tuple(segments or ()), reason))
+        for clip, several in _clips(path):
+            mark = f"#{clip}" if several else ""
+            segments = by_path.get(_key(path) + nfc(mark)) or by_name.get(nfc(path.name + mark).lower())
+            reason = "" if segments else f"not in {table.name}"
+            sources.append(SourceFile(path, name + mark, tuple(segments or ()), reason, clip))
     return sources, table
+
+
+def _clips(path: Path) -> list[tuple[str | None, bool]]:
+    """The animations of a file to read, None for its only one; and whether the file is read more than once.
+
+    There is none in a character without animations. A file that cannot be read is left to whoever reads it.
+    """
+    if not is_gltf(path):
+        return [(None, False)]
+    try:
+        names = [name for name, _ in clip_lengths(GltfFile(path))]
+    except MotionkitError:
+        return [(None, False)]
+    several = len(names) > 1 and told_animation() == ALL
+    return [(name if several else None, several) for name in (names if several else names[:1])]
 
 
 def _by_path(table: Path, rows: dict[str, list[Segment]]) -> dict[str, list[Segment]]:
@@ -129,13 +155,17 @@ def _unique_basenames(rows: dict[str, list[Segment]]) -> dict[str, list[Segment]
     return {names[name]: segments for name, segments in rows.items() if counts[names[name]] == 1}
 
 
-def _by_name(path: Path, folder: Path) -> SourceFile:
-    inside = path.relative_to(folder)
-    kind = nfc(inside.parent.name or type_from_file_name(path.stem))
-    fault = type_fault(kind)
-    if fault:
-        raise DatasetError(f"{path}: the folder or file name gives the motion type {fault}; rename it")
-    return SourceFile(path, inside.as_posix(), (Segment(0, -1, kind),))
+def _by_name(path: Path, folder: Path) -> list[SourceFile]:
+    """A file, or each of its animations, with the type that names tell."""
+    inside, found = path.relative_to(folder), []
+    for clip, several in _clips(path):
+        kind = nfc(inside.parent.name or type_from_file_name(clip if clip and several else path.stem))
+        fault = type_fault(kind)
+        if fault:
+            raise DatasetError(f"{path}: the folder or file name gives the motion type {fault}; rename it")
+        name = inside.as_posix() + (f"#{clip}" if several else "")
+        found.append(SourceFile(path, name, (Segment(0, -1, kind),), clip=clip))
+    return found or [SourceFile(path, inside.as_posix(), (), "has no animation")]
 
 
 def type_from_file_name(stem: str) -> str:

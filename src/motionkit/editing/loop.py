@@ -49,6 +49,10 @@ LIVELY = 0.6  # least movement per frame in a cycle, as a share of the clip's me
 LEAVES = 0.85
 # A clip with a smaller median difference is calm (standing), and its cycles take at least CALM_SHORTEST.
 CALM, CALM_SHORTEST = 5.0, 2.0  # cm, s
+CLOSED = (
+    1.0  # cm; a clip whose last frame is this near to its first, in the heading frame, is a cycle already
+)
+CLOSED_STEP = 0.5  # the same, as a share of the clip's median step between frames
 STILL = 0.05  # cm; a clip with a smaller median difference does not move
 # Cycles within this share of the clip's median speed, or this many cm/s, are preferred.
 PACE_SHARE, PACE = 0.1, 10.0
@@ -100,7 +104,7 @@ class Loop:
 
     Attributes:
         motion: the frames of the cycle; the last one equals the first, apart from its place on the ground.
-        start, end: first and last frame of the cycle in the clip, both included.
+        start, end: first and last frame of the cycle in the clip, both included; the motion may repeat it.
         seam: the discontinuity where the cycle repeats.
         difference: cm between the ends of the cycle in the clip: poses, velocities and contacts combined.
     """
@@ -130,12 +134,20 @@ def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = 
         seconds: length of the cycle; by default that of the shortest good one.
         from_origin: move the cycle to the origin, facing +Z; without it, the cycle keeps its place.
 
+    A clip that is closed already is taken whole. If no cycle is as long as asked, a shorter one is repeated.
+
     Raises:
         MotionkitError: the motion never repeats.
     """
     upright = Upright.of(motion)
-    start, end, difference = find_cycle(upright, seconds)
-    closed = _closed(upright, start, end)
+    start, end, difference = _cycle(upright, seconds)
+    times = 1
+    if seconds is not None and _away(end - start, upright, seconds) > FAR_FROM_WISH * seconds:
+        shorter = _cycle(upright)
+        again = max(1, round(seconds * upright.motion.fps / (shorter[1] - shorter[0])))
+        if _away(again * (shorter[1] - shorter[0]), upright, seconds) < _away(end - start, upright, seconds):
+            (start, end, difference), times = shorter, again
+    closed = _repeated(_closed(upright, start, end), times)
     if from_origin:
         closed = at_origin(closed, cyclic=True)
     return Loop(upright.back(closed), start, end, seam(closed), difference)
@@ -179,6 +191,43 @@ def find_loops(
     return replace(result, motions=motions), cycles
 
 
+def _away(steps: int, upright: Upright, seconds: float) -> float:
+    """How many seconds a cycle of so many steps differs from a wish."""
+    return abs(steps / upright.motion.fps - seconds)
+
+
+def _repeated(cycle: Motion, times: int) -> Motion:
+    """A closed cycle several times in a row, each from the place where the last one ended."""
+    if times == 1:
+        return cycle
+    steps = len(cycle) - 1
+    away = (cycle.root_positions[-1] - cycle.root_positions[0]) * np.array([1.0, 0.0, 1.0], np.float32)
+    frames = np.arange(times * steps + 1)
+    rows = np.where(frames == frames[-1], steps, frames % steps)
+    rounds = np.minimum(frames // steps, times - 1)[:, None].astype(np.float32)
+    local = cycle.local_positions
+    return replace(
+        cycle,
+        local_rotations=quat_continuous(cycle.local_rotations[rows]),
+        root_positions=cycle.root_positions[rows] + rounds * away,
+        local_positions=None if local is None else local[rows],
+    )
+
+
+def _cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, float]:
+    """The cycle of find_cycle, or the whole clip if nothing else repeats and its last frame is its first."""
+    try:
+        return find_cycle(upright, seconds)
+    except MotionkitError:
+        ends = upright.positions if upright.canonical is None else upright.facing_positions
+        apart = np.linalg.norm(ends[-1] - ends[0], axis=-1)
+        moves = float(np.ptp(ends, axis=0).max()) > CLOSED
+        step = float(np.median(np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1)))
+        if len(ends) < 3 or not moves or apart.max() > max(CLOSED, CLOSED_STEP * step):
+            raise
+        return 0, len(ends) - 1, float(apart.mean())
+
+
 def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, float]:
     """First and last frame of the best cycle, and the difference between them in cm.
 
@@ -196,8 +245,8 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
     every = np.arange(0, frames, stride)
     apart = distances_between(rows[every], rows[every])
     usual = float(np.median(apart))
-    if usual < CALM and frames > 2 * CALM_SHORTEST * fps:
-        least = round(CALM_SHORTEST * fps)
+    if usual < CALM:
+        least = min(round(CALM_SHORTEST * fps), frames - 2)
     if usual < STILL:
         raise MotionkitError("the clip does not move, expected movement to find a cycle in")
     pairs = _allowed(upright, every, least) & (_reach(apart) >= LEAVES * usual)
@@ -217,8 +266,8 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
     start, end, difference = _refined(rows, int(every[a]), int(every[b]), stride, least)
     if difference > limit:
         raise MotionkitError(
-            f"the clip never repeats: the ends of its best cycle differ by {difference:.1f} cm, "
-            f"expected at most {limit:.1f}"
+            f"the clip never repeats: the ends of its best cycle are too different to loop, {difference:.1f} cm "
+            f"apart, expected at most {limit:.1f}"
         )
     return start, end, difference
 

@@ -9,6 +9,8 @@ import numpy as np
 
 from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
+from motionkit.rig.character import Character
+from motionkit.rig.rig import Rig
 
 LARGEST = 1e7  # largest length in a file, in metres or centimetres
 
@@ -23,6 +25,9 @@ class Clip:
         types: motion types and their seconds in sequence; empty if unknown.
         channels: channels of each joint in the source BVH file, kept when writing BVH; None for the default.
         hierarchy: text of the source file's hierarchy section, likewise; None to make one from the skeleton.
+        character: the .glb or .vrm file whose joints the motion is on; .glb and .vrm files are that file with the
+            motion added. None to show the motion on a mannequin.
+        alone: leave out the animations that the character's file has.
     """
 
     motion: Motion
@@ -30,6 +35,8 @@ class Clip:
     types: Sequence[tuple[str, float]] = ()
     channels: tuple[tuple[str, ...], ...] | None = None
     hierarchy: str | None = None
+    character: Character | None = None
+    alone: bool = False
 
     def with_motion(self, motion: Motion) -> Clip:
         """The clip with an edited motion; keeps channels and hierarchy if they fit it."""
@@ -40,6 +47,7 @@ class Clip:
             motion=motion,
             channels=self.channels if kept else None,
             hierarchy=self.hierarchy if same else None,
+            character=self.character if self.character and self.character.holds(motion) else None,
         )
 
     def _holds(self, motion: Motion) -> bool:
@@ -52,10 +60,18 @@ class Clip:
         return turns and all(names.count("position") == 3 for j, names in enumerate(kinds) if j in moving)
 
 
+def rig_clip(motion: Motion, rig: Rig, name: str, types: Sequence[tuple[str, float]] = ()) -> Clip:
+    """The clip of a motion on a rig; in a character's file its animation is called by the types, if they are known."""
+    if rig.character is not None and types:
+        name = "-".join(dict.fromkeys(kind for kind, _ in types))
+    return Clip(motion, name, types, rig.channels, rig.hierarchy, rig.character)
+
+
 def check_numbers(path: object, motion: Motion) -> None:
     """Raise MotionkitError for numbers that a file cannot hold, before writing begins."""
     places = [motion.root_positions, motion.skeleton.offsets]
     places += [] if motion.local_positions is None else [motion.local_positions]
+    places += map(np.array, motion.skeleton.end_sites.values())
     if len(motion) < 1:
         raise MotionkitError(f"{path}: not written: the motion has no frames")
     if not all(bool((np.abs(values) <= LARGEST).all()) for values in places):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.errors import SkeletonError
 from motionkit.motion.motion import Motion
 from motionkit.rig.upright import in_metres
 from motionkit.view.body import make_body
@@ -46,7 +47,7 @@ def joint_translations(motion: Motion) -> Array:
 
 
 def make_figure(motion: Motion) -> Figure:
-    """The body of a motion of any rig and unit, in metres."""
+    """The body of a motion of any rig and unit, in metres. Raises SkeletonError if its bones allow none."""
     motion = in_metres(motion).motion
     surface, pose = make_body(motion)
     rest = motion.skeleton.offsets.astype(np.float64)
@@ -57,7 +58,10 @@ def make_figure(motion: Motion) -> Figure:
     normals = point_normals(surface.points, surface.triangles)
     flat = np.linalg.norm(normals, axis=-1, keepdims=True) < 0.5
     normals = np.where(flat, np.array([0.0, 1.0, 0.0]), normals)
-    return Figure(motion, rest, pose.inverse_matrices(), surface, normals)
+    binds = pose.inverse_matrices()
+    if not all(np.isfinite(values).all() for values in (surface.points, surface.weights, rest, binds)):
+        raise SkeletonError("no body can be made around these bones")
+    return Figure(motion, rest, binds, surface, normals)
 
 
 def skin_weights(surface: Surface) -> tuple[Array, Array]:

@@ -18,17 +18,21 @@ from motionkit.motion.motion import Motion
 WRITERS: dict[str, str] = {
     ".bvh": "formats:_write_bvh",
     ".glb": "glb:write_glb",
+    ".vrm": "glb:write_vrm",
     ".vrma": "vrma:write_vrma",
     ".usda": "usda:write_usda",
     ".npz": "tables:write_npz",
     ".csv": "tables:write_csv",
 }
-READERS: dict[str, str] = {".bvh": "formats:_read_bvh", ".glb": "formats:_read_glb"}
+READERS: dict[str, str] = {
+    ".bvh": "formats:_read_bvh",
+    ".glb": "formats:_read_glb",
+    ".vrm": "formats:_read_glb",
+}
 # Endings of formats that are not written, and what to use instead.
 INSTEAD: dict[str, str] = {
     ".fbx": "motionkit writes no FBX; write a .glb, and Blender makes an FBX of it (docs/clips.md, FBX)",
     ".gltf": "motionkit writes binary glTF only: use .glb",
-    ".vrm": "a .vrm is an avatar; write its animation as .vrma",
     ".usd": "motionkit writes USD as text: use .usda",
     ".usdc": "motionkit writes USD as text: use .usda",
     ".usdz": "motionkit writes USD as text: use .usda",
@@ -58,7 +62,7 @@ def write_motion(path: str | Path, motion: Motion | Clip) -> None:
 
 
 def read_motion(path: str | Path) -> Motion:
-    """Read the motion of a .bvh file, in its own unit, or of a skinned .glb file, in cm.
+    """Read the motion of a .bvh file, in its own unit, or of a .glb or .vrm file, in cm.
 
     Raises:
         MotionkitError: the ending is unknown or the file cannot be read; the message names the file.
@@ -66,9 +70,14 @@ def read_motion(path: str | Path) -> Motion:
     return read_clip(path).motion
 
 
-def read_clip(path: str | Path) -> Clip:
-    """Read a motion with its name and, from a .bvh file, its channels; raises like read_motion."""
-    clip: Clip = _find(READERS, path, "read")(path)
+def read_clip(path: str | Path, name: str | None = None) -> Clip:
+    """Read a motion with its name and what else its format holds; raises like read_motion.
+
+    Args:
+        path: the file.
+        name: the animation of a .glb or .vrm; needed if it has several.
+    """
+    clip: Clip = _find(READERS, path, "read")(path, name)
     return clip
 
 
@@ -92,7 +101,7 @@ def _write_bvh(path: str | Path, clip: Clip) -> None:
         write_bvh(path, replace(motion_to_bvh(clip.motion, clip.channels), hierarchy=clip.hierarchy))
 
 
-def _read_bvh(path: str | Path) -> Clip:
+def _read_bvh(path: str | Path, name: str | None = None) -> Clip:
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
     bvh = read_bvh(path)
@@ -100,7 +109,10 @@ def _read_bvh(path: str | Path) -> Clip:
     return clip.with_motion(clip.motion)
 
 
-def _read_glb(path: str | Path) -> Clip:
-    from motionkit.rig.read_glb import read_glb
+def _read_glb(path: str | Path, name: str | None = None) -> Clip:
+    from motionkit.rig.character import read_character
+    from motionkit.rig.read_glb import CM, motion_of
 
-    return Clip(read_glb(path), Path(path).stem)
+    character = read_character(path)
+    called, motion = motion_of(character, name)
+    return Clip(motion.scaled(CM), called, character=character)

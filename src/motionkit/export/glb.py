@@ -1,30 +1,73 @@
-"""Writes motions as binary glTF: a skeleton in a skin, a body mesh and one animation, in metres with +Y up.
+"""Writes motions as binary glTF: into the file of the user's character, or with a body of our own, in metres, +Y up.
+
+The latter has a skeleton in a skin, a body mesh and one animation.
 
 Importers make bones of skin joints only, so the skin has all joints.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.errors import MotionkitError
 from motionkit.export.clip import Clip
 from motionkit.export.figure import Figure, joint_translations, make_figure, materials, skin_weights
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_normalize
+from motionkit.rig.character import Character
 from motionkit.rig.gltf import INDICES, VERTICES, GltfDocument
 
 
 def write_glb(path: str | Path, clip: Clip) -> None:
-    """Write a motion of any rig as a .glb file, atomically."""
+    """Write a motion of any rig as a .glb file, atomically: into the file of its character, or with a mannequin."""
+    if clip.character is not None:
+        _write_into(path, clip, clip.character)
+        return
     document = GltfDocument()
     figure = make_figure(clip.motion)
     joints = add_figure(document, figure, clip.name)
     add_animation(document, clip, figure.motion, joints)
     document.write(path)
+
+
+def write_vrm(path: str | Path, clip: Clip) -> None:
+    """Write the avatar that a motion is on with the motion as an animation; raises MotionkitError without an avatar."""
+    if clip.character is None:
+        raise MotionkitError(
+            f"{path}: a .vrm is an avatar: give one with --rig avatar.vrm, or write its animation as .vrma"
+        )
+    if not clip.character.humanoid:
+        source = clip.character.tree.file.path
+        raise MotionkitError(
+            f"{path}: not written: {source} has no humanoid part, as a .vrm has; write a .glb"
+        )
+    _write_into(path, clip, clip.character)
+
+
+def _write_into(path: str | Path, clip: Clip, character: Character) -> None:
+    """Write the file of a character with a motion on it as one more animation; all else stays byte for byte."""
+    file = character.tree.file
+    if not character.holds(clip.motion):
+        raise MotionkitError(f"{path}: not written: the motion has other joints than {file.path}")
+    document = file.addition()
+    taken = (
+        set()
+        if clip.alone
+        else {name for entry in file.items("animations") if isinstance(name := entry.get("name"), str)}
+    )
+    number, name = 2, clip.name
+    while name in taken:
+        name, number = f"{clip.name}_{number}", number + 1
+    tracks = character.tracks(clip.motion)
+    add_tracks(document, replace(clip, name=name), tracks)
+    parts = character.parts({node for node, _, _ in tracks})
+    file.write_added(path, document, ["animations"] if clip.alone else [], parts)
 
 
 def add_figure(document: GltfDocument, figure: Figure, name: str) -> list[int]:
@@ -52,22 +95,23 @@ def add_joints(document: GltfDocument, motion: Motion, rest: Array) -> list[int]
 
 def add_animation(document: GltfDocument, clip: Clip, motion: Motion, joints: list[int]) -> None:
     """Add the animation of a motion in metres: rotations of all joints, translations of joints that move."""
+    rotations = _xyzw(quat_continuous(quat_normalize(motion.local_rotations.astype(np.float64))))
+    translations = joint_translations(motion)
+    tracks = [(joints[j], "translation", translations[:, j]) for j in motion.moving_joints()]
+    tracks += [(node, "rotation", rotations[:, joint]) for joint, node in enumerate(joints)]
+    add_tracks(document, clip, tracks)
+
+
+def add_tracks(document: GltfDocument, clip: Clip, tracks: Sequence[tuple[int, str, Array]]) -> None:
+    """Add an animation with the name and the times of a clip: node, path and values (T, C) of each track."""
+    motion = clip.motion
     times = document.accessor((np.arange(len(motion)) / motion.fps).astype(np.float32), "SCALAR", bounds=True)
     extras = {"fps": motion.fps, "types": [[kind, seconds] for kind, seconds in clip.types]}
     animation: dict[str, Any] = {"name": clip.name, "channels": [], "samplers": [], "extras": extras}
-
-    def channel(joint: int, path: str, values: Array, kind: str) -> None:
-        output = document.accessor(values.astype(np.float32), kind)
+    for number, (node, path, values) in enumerate(tracks):
+        output = document.accessor(values.astype(np.float32), f"VEC{values.shape[1]}")
         animation["samplers"].append({"input": times, "output": output, "interpolation": "LINEAR"})
-        target = {"node": joints[joint], "path": path}
-        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
-
-    rotations = _xyzw(quat_continuous(quat_normalize(motion.local_rotations.astype(np.float64))))
-    translations = joint_translations(motion)
-    for joint in motion.moving_joints():
-        channel(joint, "translation", translations[:, joint], "VEC3")
-    for joint in range(len(joints)):
-        channel(joint, "rotation", rotations[:, joint], "VEC4")
+        animation["channels"].append({"sampler": number, "target": {"node": node, "path": path}})
     document.add("animations", animation)
 
 

@@ -7,13 +7,10 @@ integration and forward kinematics, with static shapes and a batch of one. docs/
 from __future__ import annotations
 
 import json
-import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,7 +26,7 @@ from motionkit.export.onnx_network import present_name, state_shapes, write_netw
 from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS, Controls
 from motionkit.features.layout import FEATURE_COUNT, column_names
 from motionkit.features.reference import REFERENCE_COUNT, REFERENCE_OFFSETS
-from motionkit.files import atomic_write, read_json
+from motionkit.files import read_json, write_together
 from motionkit.inference.character import model_first_type
 from motionkit.inference.frame_arrays import BodyArrays
 from motionkit.inference.frame_kernel import PoseKernel
@@ -241,25 +238,6 @@ def _is_metadata(path: Path) -> bool:
     return isinstance(described, dict) and str(described.get("format", "")).startswith(FORMAT_NAME)
 
 
-@contextmanager
-def _both(graph: Path, beside: Path) -> Iterator[tuple[IO, IO]]:
-    """Open two files for writing that appear together, so that graph and metadata always match."""
-    placing = False
-    try:
-        # Files are put in place in reverse order of opening.
-        with atomic_write(graph, "wb") as first, atomic_write(beside) as second:
-            yield first, second
-            for file in (first, second):  # a full disk is noticed before anything is replaced
-                file.flush()
-                os.fsync(file.fileno())
-            placing = True
-            Path(os.path.realpath(graph)).unlink(missing_ok=True)
-    except BaseException:
-        if placing and not graph.exists():
-            beside.unlink(missing_ok=True)
-        raise
-
-
 def export_onnx(model: MotionModel, path: str | Path, character: str = "default") -> ExportCheck | None:
     """Check the graph against motionkit, then write the graph and its metadata (same name with .json).
 
@@ -275,9 +253,7 @@ def export_onnx(model: MotionModel, path: str | Path, character: str = "default"
     beside = metadata_path(path)
     proto = build_graph(model, character).SerializeToString()
     check = _checked(model, proto, character)
-    with _both(path, beside) as (graph, text):
-        graph.write(proto)
-        text.write(json.dumps(metadata(model, character)))  # faster than json.dump
+    write_together({beside: json.dumps(metadata(model, character)).encode(), path: proto})
     return check
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.speeds import lateral_limit
 from motionkit.export.page_tracks import Track, type_tracks
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.features.reference import EMBEDDING_COUNT
@@ -130,6 +131,7 @@ def _types(model: MotionModel, tracks: dict[str, list[Track]]) -> list[dict[str,
                 "seconds": model.phase_seconds(name),
                 "steered": kind.kind.steered,
                 "speeds": model.speed_range(name),
+                "lateral": round(lateral_limit(model, name), 1),
                 "performed": kind.kind is MotionKind.PERFORMANCE,
                 "gain": kind.preset.reference_gain if model.uses_references else 0.0,
                 "tracks": entries,

@@ -18,7 +18,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES
 from motionkit.rig.canonical import canonical_motion
-from motionkit.rig.upright import in_metres
+from motionkit.rig.upright import AS_BROUGHT, in_metres
 
 CONTACT_NAMES = tuple(JOINT_NAMES[joint] for joint in FOOT_JOINTS)
 
@@ -67,7 +67,9 @@ def write_csv(path: str | Path, clip: Clip) -> None:
 def contacts(motion: Motion) -> Array:
     """Contacts (T, 4), 0 or 1, of left foot, left toe, right foot, right toe; (0, 4) for rigs that are not human."""
     try:
-        canonical = canonical_motion(in_metres(motion).motion.scaled(100.0))
+        brought = in_metres(motion).motion.scaled(100.0)
+        with AS_BROUGHT():
+            canonical = canonical_motion(brought)
     except SkeletonError:
         return np.zeros((0, len(CONTACT_NAMES)), np.uint8)
     _, positions = motion_kinematics(canonical)

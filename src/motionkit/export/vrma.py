@@ -35,7 +35,7 @@ from motionkit.motion.skeleton import (
 )
 from motionkit.rig.canonical import canonical_motion
 from motionkit.rig.gltf import GltfDocument
-from motionkit.rig.upright import in_metres
+from motionkit.rig.upright import AS_BROUGHT, in_metres
 
 EXTENSION = "VRMC_vrm_animation"
 CM = 0.01
@@ -55,7 +55,9 @@ _DOWN = np.array([0.0, -1.0, 0.0], np.float32)
 
 def write_vrma(path: str | Path, clip: Clip) -> None:
     """Write a motion of a human rig as a .vrma file, atomically; raises SkeletonError for other rigs."""
-    motion = humanoid_motion(canonical_motion(in_metres(clip.motion).motion.scaled(1.0 / CM), own_body=True))
+    brought = in_metres(clip.motion).motion.scaled(1.0 / CM)
+    with AS_BROUGHT():
+        motion = humanoid_motion(canonical_motion(brought, own_body=True))
     document = GltfDocument()
     rest = motion.skeleton.offsets.copy()
     rest[0, 1] = hips_height(motion.skeleton)

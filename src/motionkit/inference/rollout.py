@@ -19,7 +19,7 @@ from motionkit.inference.noise import Noise, NoiseState
 from motionkit.inference.stepping import TorchStep, stepper
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import StartPose
-from motionkit.motion.bvh_text import MAX_NUMBER
+from motionkit.motion.bvh_rows import MAX_NUMBER
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton

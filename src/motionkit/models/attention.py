@@ -20,7 +20,13 @@ BLOCK = 16
 
 
 class LocalAttention(nn.Module):
-    """Multi-head self-attention of each frame over itself and the W - 1 frames before, added to a residual."""
+    """Multi-head self-attention of each frame over itself and the W - 1 frames before, added to a residual.
+
+    Attributes:
+        in_torch: whether to compute in torch where the C kernel could.
+    """
+
+    in_torch = False
 
     def __init__(self, parts: int, width: int, heads: int, window: int, bias: bool) -> None:
         super().__init__()
@@ -33,7 +39,7 @@ class LocalAttention(nn.Module):
 
     def forward(self, x_PBTD: Tensor, residual: Tensor, query: Tensor | None = None) -> Tensor:
         """Attend from frames x, or from other features `query` (P, B, T, D), to frames x, and add to the residual."""
-        if query is None and can_attend(x_PBTD, self.heads, self.window):
+        if query is None and not self.in_torch and can_attend(x_PBTD, self.heads, self.window):
             none = x_PBTD.new_zeros(x_PBTD.shape[0], self.heads, self.window, dtype=torch.float32)
             return self._by_kernel(x_PBTD, residual, none if self.offset_bias is None else self.offset_bias)
         P, B, T, D = x_PBTD.shape

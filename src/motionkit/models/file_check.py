@@ -32,6 +32,7 @@ FASTEST, LONGEST_PHASE = 1e4, 3600.0  # largest speed (cm/s) and cycle (s) of a 
 RATES = (1.0, 480.0)  # frames per second
 REFERENCE_GAINS = (0.0, 100.0)  # also the range of noise factors
 LONGEST_BONE = 1e4  # cm
+LARGEST = 1e12  # number in a tensor; sums of products stay finite
 FLOATS = ("F32", "F16")
 
 Shape = tuple[int, ...]
@@ -249,8 +250,10 @@ def _frames(found: Mapping[str, TensorFacts], name: str) -> int:
 def check_values(tensors: Iterable[tuple[str, np.ndarray]]) -> None:
     """Raise ModelError, with the tensor's name, for NaN, infinite or impossible numbers."""
     for name, values in tensors:
-        if not np.isfinite(values).all():
-            raise ModelError(f"the tensor {_shown(name)} has numbers that are NaN or infinite")
+        if values.size and not float(np.abs(values).max()) <= LARGEST:  # NaN is refused, too
+            raise ModelError(
+                f"the tensor {_shown(name)} has numbers that are NaN, infinite or above {LARGEST:g}"
+            )
         if name in ("scaling.std", "trajectory.std") and values.min() <= 0.0:
             raise ModelError(f"the tensor {_shown(name)} has {values.min():g}, expected positive deviations")
         if name == "reference_rotations" and np.abs(np.linalg.norm(values, axis=-1) - 1.0).max() > 0.01:

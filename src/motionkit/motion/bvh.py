@@ -17,19 +17,17 @@ from numpy.typing import NDArray
 from motionkit.arrays import Array
 from motionkit.errors import BvhError
 from motionkit.files import atomic_write
-from motionkit.motion.bvh_text import (
-    LONGEST_FRAME,
-    MAX_NUMBER,
-    SHORTEST_FRAME,
-    implausible_value,
-    read_bvh_text,
-)
+from motionkit.motion.bvh_rows import MAX_NUMBER, implausible_value
+from motionkit.motion.bvh_text import LONGEST_FRAME, SHORTEST_FRAME, read_bvh_text
 from motionkit.motion.frame_rate import nominal_rate
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import euler_to_quat, quat_continuous, quat_to_euler
 from motionkit.motion.skeleton import Skeleton
 
 POSITION_CHANNELS = ("Xposition", "Yposition", "Zposition")
+# A joint whose position channels, taken as a place in the world, lie this much nearer to the root than its parent is to
+# them taken as an offset, has its place in the world there.
+WORLD_SHARE = 0.25
 ROTATION_ORDER = "ZYX"  # the order of the CMU files and of motionkit's own files
 
 
@@ -44,6 +42,7 @@ class BvhFile:
         frame_time: seconds per frame, as declared.
         hierarchy: text to write as the hierarchy section, in place of one made from skeleton and channels; None in a
             file from read_bvh.
+        humanoid: canonical limb joints, hips and head to joint indices, where the file itself says so (VRM).
     """
 
     skeleton: Skeleton
@@ -51,6 +50,7 @@ class BvhFile:
     values: NDArray[np.float64]
     frame_time: float
     hierarchy: str | None = None
+    humanoid: dict[str, int] | None = None
 
     @property
     def fps(self) -> float:
@@ -67,7 +67,10 @@ class BvhFile:
 
 
 def read_bvh(path: str | Path) -> BvhFile:
-    """Read a BVH file; raises BvhError, naming file and line, if it is invalid."""
+    """Read a BVH file; raises BvhError, naming file and line, if it is invalid.
+
+    What had to be settled is told as reading.py says.
+    """
     import bvhio  # a local import, because it takes a quarter of a second
 
     text = read_bvh_text(path)
@@ -96,7 +99,34 @@ def read_bvh(path: str | Path) -> BvhFile:
             ends[index] = tuple(joint.EndSite)
         waiting.extend((child, index) for child in reversed(joint.Children))
     skeleton = Skeleton(tuple(names), tuple(parents), np.array(offsets, np.float32), ends)
-    return BvhFile(skeleton, tuple(channels), text.values, text.frame_time)
+    bvh = BvhFile(skeleton, tuple(channels), text.values, text.frame_time)
+    _check_places(path, bvh)
+    return bvh
+
+
+def _check_places(path: str | Path, bvh: BvhFile) -> None:
+    """Raise BvhError for joints whose position channels hold places in the world, which would tear the body apart."""
+    places = {}
+    for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True)):
+        at = [columns[names.index(name)] for name in POSITION_CHANNELS if name in names]
+        if len(at) == 3:
+            places[joint] = bvh.values[:, at]
+    root = places.pop(0, None)
+    if root is None:
+        return
+    found = [
+        joint
+        for joint, place in places.items()
+        if np.median(np.linalg.norm(place - root, axis=1))
+        < WORLD_SHARE * np.median(np.linalg.norm(place - bvh.skeleton.offsets[joint], axis=1))
+    ]
+    if found:
+        told = ", ".join(bvh.skeleton.names[joint] for joint in found[:3])
+        raise BvhError(
+            path,
+            f"the position channels of {told} hold places in the world (as Vicon writes segments), expected places "
+            "relative to the parent; export the file with positions of the root alone",
+        )
 
 
 def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) -> Motion:

@@ -1,13 +1,14 @@
 """Checks the text of a BVH file before it is parsed, so that every error has a line number.
 
-It checks the grammar of the hierarchy without recursion, rewrites the hierarchy in normal form, and checks the motion
-block as bytes. The output is safe to pass to bvhio and numpy.
+It checks the grammar of the hierarchy without recursion, rewrites the hierarchy in normal form, and reads the motion
+block (bvh_rows.py). The output is safe to pass to bvhio and numpy. Faults that do not hide what was meant are settled
+and noted, unless files are read strictly (reading.py).
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +17,21 @@ from numpy.typing import NDArray
 
 from motionkit.errors import BvhError, MotionkitError
 from motionkit.files import read_bytes
+from motionkit.motion.bvh_rows import Notes, floats, read_rows
 from motionkit.motion.motion import longest_seconds
+from motionkit.reading import tell
 
 MAX_BYTES = 512 * 2**20
 MAX_DEPTH = 200
 MAX_JOINTS = 2000
 MAX_NAME = 200
-# Limit of offsets, positions (10 km in millimetres) and angles (28,000 turns in degrees). No real file reaches it in
-# any unit, and results stay far within the range of float32.
-MAX_NUMBER = 1e7
 SHORTEST_FRAME, LONGEST_FRAME = 1e-4, 1.0  # seconds
+POSE_FRAME = 1 / 30  # seconds, frame time of a file without motion
 CHANNEL_NAMES = {
     f"{axis}{kind}".lower(): f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")
 }
+SCALES = tuple(f"{axis}scale" for axis in "xyz")
+COMMENTS = ("#", "//")
 FRAMES = re.compile(r"frames ?:? ?(.+)", re.IGNORECASE)
 FRAME_TIME = re.compile(r"frame time ?:? ?([^ ]+)", re.IGNORECASE)
 WHOLE_NUMBER = re.compile(r"[0-9]{1,9}")
@@ -39,7 +42,8 @@ class BvhText:
     """A checked file: a normalised header for bvhio, and the motion block as numbers.
 
     The header calls the joints j0, j1, ... in file order, because unusual names (with spaces, in Latin-1) may confuse
-    the parser; `names` holds the real names.
+    the parser; `names` holds the real names. `hierarchy` is the unchanged text of the hierarchy section, None if
+    something had to be settled in it.
     """
 
     header: str
@@ -48,26 +52,74 @@ class BvhText:
     frames: int
     frame_time: float
     values: NDArray[np.float64]
+    hierarchy: str | None
+
+
+@dataclass
+class _Tree:
+    """One root with its joints.
+
+    Attributes:
+        out: its normalised text.
+        names: the joints, and the line of each.
+        columns: (channel, value in the rest pose) of each column of the motion block.
+    """
+
+    out: list[str] = field(default_factory=lambda: ["HIERARCHY"])
+    names: dict[str, int] = field(default_factory=dict)
+    columns: list[tuple[str, float]] = field(default_factory=list)
 
 
 def read_bvh_text(path: str | Path) -> BvhText:
     """Read and check a BVH file; raises BvhError with the line of the first error."""
-    data = _read_bytes(path)
-    text = _decode(path, data)
+    notes = Notes(path)
+    lines = _read_lines(path, notes)
+    motion_line = _find_motion(path, lines, notes)
+    trees = _check_hierarchy(path, lines, motion_line, notes)
+    hierarchy = None if notes.lines else _hierarchy(lines, motion_line)
+    columns = [column for tree in trees for column in tree.columns]
+    frames, frame_time, first_row = _check_motion_header(path, lines, motion_line, notes)
+    values = read_rows(lines, first_row, frames, [name for name, _ in columns], notes)
+    if not len(values):
+        values = np.array([[rest for _, rest in columns]])
+    _check_duration(path, len(values), frame_time, first_row)
+    tree = max(trees, key=lambda tree: len(tree.names))
+    kept = [own is tree and name.lower() not in SCALES for own in trees for name, _ in own.columns]
+    tell(path, notes.lines)
+    header = "\n".join(tree.out) + f"\nMOTION\nFrames: {len(values)}\nFrame Time: {frame_time!r}\n"
+    values = values if all(kept) else values[:, kept]
+    return BvhText(header, tuple(tree.names), sum(kept), len(values), frame_time, values, hierarchy)
+
+
+def read_hierarchy(path: str | Path) -> str | None:
+    """The unchanged text of a BVH file's hierarchy section, None if something had to be settled in it.
+
+    Raises BvhError as read_bvh_text does.
+    """
+    notes = Notes(path)
+    lines = _read_lines(path, notes)
+    motion_line = _find_motion(path, lines, notes)
+    _check_hierarchy(path, lines, motion_line, notes)
+    return None if notes.lines else _hierarchy(lines, motion_line)
+
+
+def _hierarchy(lines: list[str], motion_line: int) -> str:
+    return "\n".join(lines[:motion_line]) + "\n"
+
+
+def _read_lines(path: str | Path, notes: Notes) -> list[str]:
+    """The lines of a file; those that are comments become empty, so that the others keep their numbers."""
+    text = _decode(path, _read_bytes(path))
     lines = text.split("\n")
-    motion_line = _find_motion(path, lines)
-    header, names, channels = _check_hierarchy(path, lines, motion_line)
-    frames, frame_time, first_row = _check_motion_header(path, lines, motion_line)
-    values = _read_rows(path, lines, first_row, frames, channels)
-    _check_duration(path, frames, frame_time, first_row)
-    header += f"MOTION\nFrames: {frames}\nFrame Time: {frame_time!r}\n"
-    return BvhText(header, names, channels, frames, frame_time, values)
-
-
-def read_hierarchy(path: str | Path) -> str:
-    """The unchanged text of a BVH file's hierarchy section; raises BvhError as read_bvh_text does."""
-    lines = _decode(path, _read_bytes(path)).split("\n")
-    return "\n".join(lines[: _find_motion(path, lines)]) + "\n"
+    if notes.strict or not any(mark in text for mark in COMMENTS):
+        return lines
+    kept = ["" if line.lstrip().startswith(COMMENTS) else line for line in lines]
+    removed = sum(line != old for line, old in zip(kept, lines, strict=True))
+    if removed:
+        notes.settle("comment line", "left out", "", 1, removed)
+    if not any(line.strip() for line in kept):
+        raise BvhError(path, "is empty, expected a BVH file that starts with HIERARCHY", 1)
+    return kept
 
 
 def _read_bytes(path: str | Path) -> bytes:
@@ -100,7 +152,7 @@ def _decode(path: str | Path, data: bytes) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _find_motion(path: str | Path, lines: list[str]) -> int:
+def _find_motion(path: str | Path, lines: list[str], notes: Notes) -> int:
     first = next(i for i, line in enumerate(lines) if line.strip())
     if lines[first].split()[0].upper() != "HIERARCHY":
         found = lines[first].strip()[:40]
@@ -108,35 +160,24 @@ def _find_motion(path: str | Path, lines: list[str]) -> int:
     for number, line in enumerate(lines):
         if line.strip().upper() == "MOTION":
             return number
-    raise BvhError(path, "the file ends before its MOTION section", len(lines))
-
-
-def _floats(path: str | Path, words: list[str], line: int, what: str) -> list[float]:
-    numbers = []
-    for word in words:
-        try:
-            number = float(word.replace("_", "?"))  # Python would read 1_0 as 10
-        except ValueError:
-            raise BvhError(path, f"expected numbers for {what}, found {word[:40]!r}", line) from None
-        if not abs(number) <= MAX_NUMBER:
-            raise BvhError(
-                path, f"expected finite numbers up to {MAX_NUMBER:,.0f} for {what}, found {word[:40]!r}", line
-            )
-        numbers.append(number)
-    return numbers
+    if notes.strict:
+        raise BvhError(path, "the file ends before its MOTION section", len(lines))
+    return len(lines)
 
 
 class _HierarchyWalk:
     """Checks the tokens of a hierarchy with an explicit stack and collects the normalised text."""
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, notes: Notes) -> None:
         self.path = path
-        self.out: list[str] = ["HIERARCHY"]
-        self.names: dict[str, int] = {}
+        self.notes = notes
+        self.trees: list[_Tree] = []
         self.open: list[dict[str, Any]] = []  # joints and end sites not yet closed
         self.pending: dict[str, Any] | None = None  # a joint or end site before its opening bracket
-        self.roots = 0
-        self.channels = 0
+
+    @property
+    def out(self) -> list[str]:
+        return self.trees[-1].out
 
     def fail(self, message: str, line: int) -> BvhError:
         return BvhError(self.path, message, line)
@@ -152,24 +193,24 @@ class _HierarchyWalk:
                 f"expected a name of at most {MAX_NAME} characters after {kind}, found {len(name)}", line
             )
         if kind == "ROOT":
-            self.roots += 1
-            if self.roots > 1:
+            if self.trees and (self.open or self.notes.strict):
                 raise self.fail(f"second ROOT {name!r}; expected one character per file", line)
+            self.trees.append(_Tree())
         elif not self.open:
             raise self.fail(f"JOINT {name!r} is outside the ROOT", line)
         if self.open and self.open[-1]["end"]:
             raise self.fail(f"{kind} {name!r} is inside an End Site", line)
-        if name in self.names:
+        names = self.trees[-1].names
+        if name in names:
             raise self.fail(
-                f"second joint named {name!r} (the first is on line {self.names[name]}); names must differ",
-                line,
+                f"second joint named {name!r} (the first is on line {names[name]}); names must differ", line
             )
-        self.names[name] = line
-        if len(self.names) > MAX_JOINTS:
+        names[name] = line
+        if sum(len(tree.names) for tree in self.trees) > MAX_JOINTS:
             raise self.fail(f"more than {MAX_JOINTS} joints", line)
         self._begin_child(f"{kind} {name!r}", line)
         self.pending = {"label": f"{kind} {name}", "end": False, "line": line}
-        self.out.append(f"{kind} j{len(self.names) - 1}")
+        self.out.append(f"{kind} j{len(names) - 1}")
 
     def end_site(self, line: int) -> None:
         if self.pending is not None or not self.open or self.open[-1]["end"]:
@@ -183,7 +224,7 @@ class _HierarchyWalk:
         if not self.open:
             return
         parent = self.open[-1]
-        if not parent["offset"]:
+        if parent["offset"] is None:
             raise self.fail(f"{child} comes before the OFFSET of {parent['label']}", line)
         if not parent["channels"]:
             self._write_channels(parent, [])
@@ -194,7 +235,7 @@ class _HierarchyWalk:
             raise self.fail("found '{' without a joint before it", line)
         if len(self.open) >= MAX_DEPTH:
             raise self.fail(f"joints nested more than {MAX_DEPTH} levels deep", line)
-        self.pending.update(offset=False, channels=False, children=False)
+        self.pending.update(offset=None, channels=False, children=False)
         self.open.append(self.pending)
         self.pending = None
         self.out.append("{")
@@ -203,7 +244,7 @@ class _HierarchyWalk:
         if not self.open:
             raise self.fail("found a '}' too many", line)
         node = self.open.pop()
-        if not node["offset"]:
+        if node["offset"] is None:
             raise self.fail(f"{node['label']} has no OFFSET", line)
         if not node["end"] and not node["channels"]:
             self._write_channels(node, [])
@@ -211,12 +252,15 @@ class _HierarchyWalk:
 
     def offset(self, words: list[str], line: int) -> None:
         node = self._node("OFFSET", line)
-        if node["offset"]:
+        if node["offset"] is not None:
             raise self.fail(f"second OFFSET of {node['label']}", line)
         if len(words) != 3:
-            raise self.fail(f"expected 3 numbers after OFFSET of {node['label']}, found {len(words)}", line)
-        numbers = _floats(self.path, words, line, f"OFFSET of {node['label']}")
-        node["offset"] = True
+            fault = f"expected 3 numbers after OFFSET of {node['label']}, found {len(words)}"
+            if len(words) != 6:
+                raise self.fail(fault, line)
+            self.notes.settle("OFFSET", "of six numbers cut to the first three", fault, line)
+        numbers = floats(words, line, f"OFFSET of {node['label']}", self.notes)[:3]
+        node["offset"] = numbers
         self.out.append("OFFSET " + " ".join(repr(number) for number in numbers))
 
     def channel_list(self, words: list[str], line: int) -> None:
@@ -236,18 +280,23 @@ class _HierarchyWalk:
         names = []
         for word in words[1:]:
             if word.lower() not in CHANNEL_NAMES:
-                raise self.fail(f"unknown channel {word[:40]!r} of {node['label']}", line)
-            names.append(CHANNEL_NAMES[word.lower()])
+                fault = f"unknown channel {word[:40]!r} of {node['label']}"
+                if word.lower() not in SCALES:
+                    raise self.fail(fault, line)
+                self.notes.settle("scale channel", "left out", fault, line)
+            names.append(CHANNEL_NAMES.get(word.lower(), word.lower()))
         if len(set(names)) != len(names):
             raise self.fail(f"a channel of {node['label']} is listed twice", line)
-        if not node["offset"]:
+        if node["offset"] is None:
             raise self.fail(f"CHANNELS of {node['label']} comes before its OFFSET", line)
         self._write_channels(node, names)
 
     def _write_channels(self, node: dict[str, Any], names: list[str]) -> None:
         node["channels"] = True
-        self.channels += len(names)
-        self.out.append(" ".join(["CHANNELS", str(len(names)), *names]))
+        rests = dict(zip((f"{axis}position" for axis in "XYZ"), node["offset"], strict=True))
+        self.trees[-1].columns += [(name, 1.0 if name in SCALES else rests.get(name, 0.0)) for name in names]
+        kept = [name for name in names if name not in SCALES]
+        self.out.append(" ".join(["CHANNELS", str(len(kept)), *kept]))
 
     def _node(self, word: str, line: int) -> dict[str, Any]:
         if self.pending is not None:
@@ -257,10 +306,9 @@ class _HierarchyWalk:
         return self.open[-1]
 
 
-def _check_hierarchy(
-    path: str | Path, lines: list[str], motion_line: int
-) -> tuple[str, tuple[str, ...], int]:
-    walk = _HierarchyWalk(path)
+def _check_hierarchy(path: str | Path, lines: list[str], motion_line: int, notes: Notes) -> list[_Tree]:
+    """The trees of a hierarchy; several roots are noted."""
+    walk = _HierarchyWalk(path, notes)
     started = False
     for number in range(motion_line):
         line = number + 1
@@ -291,17 +339,28 @@ def _check_hierarchy(
                     raise BvhError(
                         path, f"expected ROOT, JOINT, OFFSET, CHANNELS or End Site, found {word[:40]!r}", line
                     )
-    if walk.roots == 0:
+    if not walk.trees:
         raise BvhError(path, "the hierarchy has no ROOT", motion_line + 1)
     if walk.open or walk.pending is not None:
         node = walk.pending or walk.open[-1]
         raise BvhError(path, f"{node['label']} is not closed before MOTION", motion_line + 1)
-    if walk.channels == 0:
+    largest = max(walk.trees, key=lambda tree: len(tree.names))
+    if not any(name not in SCALES for name, _ in largest.columns):
         raise BvhError(path, "the hierarchy declares no channels", motion_line + 1)
-    return "\n".join(walk.out) + "\n", tuple(walk.names), walk.channels
+    for tree in walk.trees:
+        if tree is not largest:
+            root = next(iter(tree.names))
+            notes.settle("joint", f"of the other root {root[:40]} left out", "", 1, len(tree.names))
+    return walk.trees
 
 
-def _check_motion_header(path: str | Path, lines: list[str], motion_line: int) -> tuple[int, float, int]:
+def _check_motion_header(
+    path: str | Path, lines: list[str], motion_line: int, notes: Notes
+) -> tuple[int, float, int]:
+    """Declared frames, frame time and the line after both."""
+    if motion_line >= len(lines):
+        notes.settle("frame", "of the rest pose, because the file has no motion", "", motion_line)
+        return 0, POSE_FRAME, motion_line
     filled = [i for i in range(motion_line + 1, min(len(lines), motion_line + 20)) if lines[i].strip()]
     frames_line = filled[0] if filled else motion_line + 1
     found = FRAMES.fullmatch(_plain(lines[frames_line])) if filled else None
@@ -310,13 +369,13 @@ def _check_motion_header(path: str | Path, lines: list[str], motion_line: int) -
     if not WHOLE_NUMBER.fullmatch(found[1]):
         raise BvhError(path, f"expected a whole number of frames, found {found[1][:40]!r}", frames_line + 1)
     frames = int(found[1])
-    if frames == 0:
+    if frames == 0 and notes.strict:
         raise BvhError(path, "declares zero frames; the file has no motion", frames_line + 1)
     time_line = filled[1] if len(filled) > 1 else frames_line + 1
     found = FRAME_TIME.fullmatch(_plain(lines[time_line])) if len(filled) > 1 else None
     if found is None:
         raise BvhError(path, "expected 'Frame Time: SECONDS' after the frame count", time_line + 1)
-    frame_time = _floats(path, [found[1]], time_line + 1, "the frame time")[0]
+    frame_time = floats([found[1]], time_line + 1, "the frame time", notes)[0]
     if not SHORTEST_FRAME <= frame_time <= LONGEST_FRAME:
         raise BvhError(
             path,
@@ -342,57 +401,3 @@ def _check_duration(path: str | Path, frames: int, frame_time: float, line: int)
             f"expected at most {longest / 3600:g}",
             line,
         )
-
-
-def _read_rows(
-    path: str | Path, lines: list[str], first_row: int, frames: int, channels: int
-) -> NDArray[np.float64]:
-    rows = [i for i in range(first_row, len(lines)) if lines[i].strip()]
-    if len(rows) < frames:
-        last = rows[-1] + 1 if rows else first_row
-        raise BvhError(path, f"declares {frames} frames but has {len(rows)}; the file is truncated", last)
-    if len(rows) > frames:
-        raise BvhError(path, f"declares {frames} frames but has {len(rows)}", rows[frames] + 1)
-    counts = _words_per_line(lines, rows)
-    wrong = np.flatnonzero(counts != channels)
-    if wrong.size:
-        row = int(wrong[0])
-        tail = "; the file is truncated" if row == frames - 1 and counts[row] < channels else ""
-        raise BvhError(
-            path, f"expected {channels} values in frame {row}, found {int(counts[row])}{tail}", rows[row] + 1
-        )
-    values = _parse_values(path, lines, rows)
-    found = implausible_value(values)
-    if found:
-        raise BvhError(path, found[1], rows[found[0]] + 1)
-    return values
-
-
-def implausible_value(values: NDArray[np.float64]) -> tuple[int, str] | None:
-    """The first frame of a motion block (T, C) with an implausible value, and a message; None if all are plausible."""
-    if not values.size or (values.min() >= -MAX_NUMBER and values.max() <= MAX_NUMBER):  # False for NaN
-        return None
-    row = int(np.flatnonzero(~(np.abs(values) <= MAX_NUMBER).all(axis=1))[0])
-    column = int(np.flatnonzero(~(np.abs(values[row]) <= MAX_NUMBER))[0])
-    number = values[row, column]
-    wanted = f"a number up to {MAX_NUMBER:,.0f}" if np.isfinite(number) else "a finite number"
-    return row, f"value {column + 1} of frame {row} is {number:g}, expected {wanted}"
-
-
-def _words_per_line(lines: list[str], rows: list[int]) -> NDArray[np.int64]:
-    """Number of words in each row, counted in bytes, which is far faster than splitting every line."""
-    block = "\n".join(lines[i] for i in rows).encode("utf-8", "replace")
-    data = np.frombuffer(b"\n" + block, dtype=np.uint8)
-    space = data <= 32
-    starts = space[:-1] & ~space[1:]
-    line_of = np.cumsum(data[:-1] == 10) - 1
-    return np.bincount(line_of[starts], minlength=len(rows))
-
-
-def _parse_values(path: str | Path, lines: list[str], rows: list[int]) -> NDArray[np.float64]:
-    try:
-        return np.loadtxt((lines[i] for i in rows), dtype=np.float64, ndmin=2, comments=None)
-    except ValueError:
-        for row, i in enumerate(rows):
-            _floats(path, lines[i].split(), i + 1, f"frame {row}")
-        raise BvhError(path, "the motion block is not numbers", rows[0] + 1) from None

@@ -9,6 +9,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
+from motionkit.free_memory import check_memory
 from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply, quat_rotate, quat_slerp
 from motionkit.motion.skeleton import Skeleton
 
@@ -90,7 +91,8 @@ def resample(motion: Motion, fps: float) -> Motion:
     Frame 0 keeps its time, and the last frame is at or before the last frame of the source.
 
     Raises:
-        MotionkitError: the rate is not above 0, or the motion is longer than longest_seconds().
+        MotionkitError: the rate is not above 0, the motion is longer than longest_seconds(), or it does not fit into
+            memory.
     """
     if not 0.0 < fps < math.inf:
         raise MotionkitError(f"expected a frame rate above 0, found {fps:g}")
@@ -102,6 +104,7 @@ def resample(motion: Motion, fps: float) -> Motion:
             f"expected at most {longest_seconds(motion.fps) / 3600:g}"
         )
     frames = int((len(motion) - 1) * fps / motion.fps + 1e-6) + 1
+    check_memory(frames, len(motion.skeleton), fps)
     times = np.arange(frames, dtype=np.float64) * (motion.fps / fps)
     before = np.minimum(np.floor(times), len(motion) - 2).astype(np.int64)
     fraction = (times - before).astype(motion.local_rotations.dtype)

@@ -6,37 +6,51 @@ import hashlib
 from importlib.resources import files
 from pathlib import Path
 
+from motionkit.control.script import TypePart
+from motionkit.control.synthesize import synthesize
 from motionkit.errors import MotionkitError
 from motionkit.export.page_model import page_model
-from motionkit.files import atomic_write
+from motionkit.files import check_foreign, write_together
+from motionkit.inference.character import model_first_type
 from motionkit.models.model import MotionModel
 from motionkit.play.figures import standing_rig
 from motionkit.view.viewer import fill_page, page_asset
 
+CHECKED = 1.0  # s of motion that a model must make without a fault before its page is written
+NAMES = ("index.html", "motionkit.wasm", "model.bin", "three-LICENSE.txt", "sw.js")
 
-def write_demo(folder: str | Path, model: MotionModel) -> dict[str, int]:
-    """Write page, model and kernels into a folder; the folder is created if needed, and other files are kept.
+
+def write_demo(folder: str | Path, model: MotionModel, force: bool = False) -> dict[str, int]:
+    """Write page, model and kernels into a folder, together; it is created if needed, and other files are kept.
+
+    Args:
+        folder: where to write.
+        model: what the page runs.
+        force: replace files of these names that motionkit did not write.
 
     Returns:
         Size in bytes of each file, by name.
 
     Raises:
-        ModelError: the kernels cannot run the network.
+        ModelError: the kernels cannot run the network, or it predicts no motion.
+        OverwriteError: a file is in the way that motionkit did not write.
         MotionkitError: the folder cannot be written.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise MotionkitError(f"{folder}: is a file, expected a folder to write into")
+    if not force:
+        page_file, worker = folder / "index.html", folder / "sw.js"
+        check_foreign([page_file, worker] if page_file.exists() else [folder / name for name in NAMES])
     page = fill_page("demo.html", {"bodies": {"default": standing_rig(model.character("default"))}})
     made = {
+        "index.html": page.encode(),  # first, since it marks the others as ours
         "motionkit.wasm": (files("motionkit") / "assets" / "web" / "motionkit.wasm").read_bytes(),
         "model.bin": page_model(model),
         "three-LICENSE.txt": page_asset("three-LICENSE.txt").encode(),
-        "index.html": page.encode(),
     }
+    synthesize(model, [TypePart(model_first_type(model), CHECKED)])
     digest = hashlib.sha256(b"".join(made.values())).hexdigest()
     made["sw.js"] = page_asset("demo-sw.js").replace("__VERSION__", digest[:16]).encode()
-    for name, data in made.items():
-        with atomic_write(folder / name, "wb") as file:
-            file.write(data)
+    write_together({folder / name: data for name, data in made.items()})
     return {name: len(data) for name, data in made.items()}

@@ -21,6 +21,7 @@ from motionkit.play.session import Recorded, Session
 from motionkit.rig.rig import Rig
 
 CHANGES_CHARACTERS = frozenset({"add", "remove", "body", "noise", "record"})
+LOOK_SECONDS = 0.1  # between looks whether a client that waits for its turn is still there
 REST = 3.0  # after slow work such as a reset, the next must wait this multiple of its duration
 
 
@@ -118,16 +119,27 @@ class Live:
 
     # ---- clients ----
 
-    async def join(self, as_json: bool) -> Client | None:
-        """Add a client and queue its hello; None if the server is full and no client is idle."""
+    async def join(self, as_json: bool, gone: Callable[[], bool] = lambda: False) -> Client | None:
+        """Add a client and queue its hello; None if the server is full and no client is idle, or the client has gone.
+
+        gone: whether the client has disconnected; it then loses its turn.
+        """
         if len(self.clients) + self._joining >= self.session.limits.clients and not self._let_one_go():
             return None
         self._joining += 1
+        turn = asyncio.ensure_future(self._join_in_turn(as_json))
         try:
-            async with self.slow_work.turn():
-                return self._welcome(as_json)
+            while not turn.done() and not gone():
+                await asyncio.wait([turn], timeout=LOOK_SECONDS)
         finally:
             self._joining -= 1
+            if not turn.done():
+                turn.cancel()
+        return turn.result() if turn.done() else None
+
+    async def _join_in_turn(self, as_json: bool) -> Client:
+        async with self.slow_work.turn():
+            return self._welcome(as_json)
 
     def _let_one_go(self) -> bool:
         """Disconnect the client that was silent longest, if it counts as idle."""

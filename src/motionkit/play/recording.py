@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from motionkit.export.clip import Clip
+from motionkit.export.clip import Clip, rig_clip
 from motionkit.export.formats import WRITERS, write_motion
 from motionkit.finish.on_rig import on_rig
 from motionkit.motion.motion import Motion
@@ -71,7 +71,7 @@ def file_bytes(
     """
     made = Clip(motion, "recording")
     if rig is not None:
-        made = Clip(on_rig(motion, rig, clip=clip), "recording", (), rig.channels, rig.hierarchy)
+        made = rig_clip(on_rig(motion, rig, clip=clip), rig, "recording")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"recording.{format}"
         write_motion(file, made)

@@ -7,15 +7,16 @@ import errno
 import hmac
 import json
 import logging
-import re
 import secrets
 import signal
 import socket as socketlib
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
+from typing import Any
 from urllib.parse import parse_qs
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -23,6 +24,7 @@ from websockets.datastructures import Headers, MultipleValuesError
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request as HttpRequest
 from websockets.http11 import Response
+from websockets.protocol import State
 
 from motionkit.errors import MotionkitError
 from motionkit.files import parse_json
@@ -50,12 +52,11 @@ SOCKET_PATH = "/live"
 CLOSE_SECONDS = 1.0  # s, time for clients to disconnect when the server stops
 WAITING_BYTES = 8192  # unsent bytes in the buffers of a socket
 TOKEN_SECONDS = 10.0  # s, time for a TCP client to send the token
-WAITING_ROOM = 4  # most open TCP connections, as a multiple of the client limit
+WAITING_ROOM = 4  # most connections of one kind that have not joined, as a multiple of the client limit
 CLOSE_MALFORMED, CLOSE_RATE, CLOSE_FULL = 1003, 1008, 1013  # WebSocket close codes (RFC 6455)
 
 
-LONGEST_METHOD = 20  # letters of an HTTP method
-_METHOD = re.compile(rb"[A-Z]{1,%d}(?= |$)" % LONGEST_METHOD)
+METHODS = (b"GET ", b"HEAD ")
 
 
 class ServeError(MotionkitError):
@@ -102,6 +103,8 @@ class PlayServer:
         self._figures = Figures([session.model.character(name) for name in names])
         self._first_figure = names.index(session.body)
         self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # TCP connections
+        most = WAITING_ROOM * session.limits.clients
+        self._web_strangers, self._tcp_strangers = Strangers(most), Strangers(most)
         self._names = known_names(options.host)
         self._numbers = not is_loopback(options.host)
         # Clients from other machines must know the token.
@@ -145,7 +148,7 @@ class PlayServer:
                 host,
                 options.port,
                 process_request=self._answer_method,
-                create_connection=_Connection,
+                create_connection=partial(_Connection, self._web_strangers),  # type: ignore[arg-type]
                 compression=None,
                 max_size=self.live.session.limits.message_bytes,
                 close_timeout=CLOSE_SECONDS,
@@ -177,6 +180,8 @@ class PlayServer:
     async def _answer_method(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         """The response to GET or HEAD (the same without a body)."""
         assert isinstance(connection, _Connection)
+        if self._knows_token(request, request.path.partition("?")[2]):
+            self._web_strangers.know(connection.transport)
         response = await self._answer(request)
         if connection.method != b"HEAD":
             return response
@@ -243,7 +248,7 @@ class PlayServer:
                 raise ConnectionError(str(error)) from None
 
         _send_late(socket.transport)
-        client = await self.live.join(as_json=False)
+        client = await self.live.join(as_json=False, gone=lambda: socket.state is not State.OPEN)
         with suppress(ConnectionClosed):
             if client is None:
                 await socket.close(CLOSE_FULL, "too many clients")
@@ -258,14 +263,19 @@ class PlayServer:
             writer.write((message if isinstance(message, bytes) else message.encode()) + b"\n")
             await writer.drain()
 
+        def gone() -> bool:
+            return reader.at_eof() or writer.is_closing()
+
         task = asyncio.current_task()
         assert task is not None
         self._connections[task] = writer
+        self._tcp_strangers.meet(writer.transport)
         _send_late(writer.transport)
         try:
             lines = self._lines(reader)
             fault = await self._tcp_fault(lines)
-            client = None if fault else await self.live.join(as_json=True)
+            self._tcp_strangers.know(writer.transport)
+            client = None if fault else await self.live.join(as_json=True, gone=gone)
             if client is None:
                 refused = error_event(ProtocolError(fault or "too many clients"), closing=True)
                 writer.write(json.dumps(refused).encode() + b"\n")
@@ -275,14 +285,15 @@ class PlayServer:
             with suppress(OSError, asyncio.TimeoutError):
                 writer.write_eof()
                 await asyncio.wait_for(_read_away(reader), CLOSE_SECONDS)
+        except asyncio.CancelledError:
+            pass  # the server stops; asyncio of Python 3.11 would print a traceback
         finally:
+            self._tcp_strangers.know(writer.transport)
             writer.close()
             del self._connections[task]
 
     async def _tcp_fault(self, lines: AsyncIterator[str]) -> str | None:
         """Why a TCP client may not join, else None; reads the token first if one is required."""
-        if len(self._connections) > WAITING_ROOM * self.live.session.limits.clients:
-            return "too many connections"
         if self.token is None:
             return None
         with suppress(ProtocolError, StopAsyncIteration, asyncio.TimeoutError):
@@ -309,6 +320,8 @@ class PlayServer:
             writer.transport.abort()
         if self._connections:
             await asyncio.wait(list(self._connections), timeout=CLOSE_SECONDS)
+        for task in list(self._connections):
+            await _cancelled(task)
 
     async def _attend(
         self,
@@ -321,6 +334,7 @@ class PlayServer:
 
         def sent_all(_: asyncio.Task) -> None:
             if client.stalled:
+                self.live.leave(client)  # its last requests may wait for their turns for long
                 abort()
             elif client.let_go:  # after the last event is sent
                 loop.call_later(CLOSE_SECONDS, abort)
@@ -389,24 +403,32 @@ class _Connection(ServerConnection):
     _begun = b""
     _refused = False
 
+    def __init__(self, strangers: Strangers, *words: Any, **options: Any) -> None:
+        self._strangers = strangers
+        super().__init__(*words, **options)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._strangers.meet(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._strangers.know(self.transport)
+        super().connection_lost(exc)
+
     def data_received(self, data: bytes) -> None:
         if self._refused:
             return
         if self.method is None:
             data = self._begun = self._begun + data
-            word = _METHOD.match(data)
-            if word is None or (word.end() == len(data) and len(data) <= LONGEST_METHOD):
-                if word is not None or not data:
-                    return  # the rest of the method is still to come
-                self.method = b""  # not HTTP; websockets closes the connection
-            else:
-                self.method = word[0]
-            self._begun = b""
-            if self.method == b"HEAD":
-                data = b"GET" + data[len(b"HEAD") :]
-            elif self.method not in (b"", b"GET"):
+            if any(word.startswith(data) for word in METHODS):
+                return  # the rest of the method is still to come
+            if not data.startswith(METHODS):
                 self._refuse()
                 return
+            self._begun = b""
+            self.method = data.partition(b" ")[0]
+            if self.method == b"HEAD":
+                data = b"GET" + data[len(b"HEAD") :]
         super().data_received(data)
 
     def _refuse(self) -> None:
@@ -416,6 +438,27 @@ class _Connection(ServerConnection):
         # Keep reading for a while: otherwise the client might not get the answer.
         self.transport.write_eof()
         asyncio.get_running_loop().call_later(CLOSE_SECONDS, self.transport.abort)
+
+
+class Strangers:
+    """Connections that have not shown that they may join, oldest first; a new one displaces the oldest of too many."""
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self._open: dict[asyncio.BaseTransport, None] = {}
+
+    def meet(self, transport: asyncio.BaseTransport) -> None:
+        """Count a new connection."""
+        self._open[transport] = None
+        if len(self._open) > self.most:
+            oldest = next(iter(self._open))
+            del self._open[oldest]
+            assert isinstance(oldest, asyncio.Transport)
+            oldest.abort()
+
+    def know(self, transport: asyncio.BaseTransport) -> None:
+        """Stop counting a connection: it has the token, or is closed."""
+        self._open.pop(transport, None)
 
 
 def _send_late(transport: asyncio.BaseTransport) -> None:

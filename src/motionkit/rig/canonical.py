@@ -7,23 +7,25 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh, read_bvh
+from motionkit.errors import SkeletonError
+from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, Skeleton, leg_length
-from motionkit.rig.retarget import RetargetReport, retarget, retarget_file
+from motionkit.rig.read_file import read_file
+from motionkit.rig.retarget import RetargetReport, retarget
 from motionkit.rig.units import LONGEST_LEG, PLAUSIBLE_LEG, SHORTEST_LEG, guess_scale
 
 
 def load_canonical(
     path: str | Path, scale: float | None = None, fps: float | None = None
 ) -> tuple[Motion, list[str]]:
-    """Read a BVH file as a motion on the 23 canonical joints, in cm at the file's rate; also returns notes.
+    """Read a file as a motion on the 23 canonical joints, in cm at the file's rate; also returns notes.
 
     A file that already has the 23 joints keeps its proportions, and is in cm if its legs have a plausible length. Any
     other rig is retargeted.
 
     Args:
-        path: BVH file of any rig.
+        path: BVH file or .glb or .vrm of any rig.
         scale: cm per file unit; detected by default.
         fps: frame rate, if the file's header is wrong.
 
@@ -31,10 +33,13 @@ def load_canonical(
         BvhError: the file is invalid.
         SkeletonError: the rig cannot be retargeted.
     """
-    bvh = read_bvh(path)
+    bvh = read_file(path)
     order = _canonical_order(bvh.skeleton)
     if order is None:
-        motion, report = retarget_file(path, scale=scale, fps=fps)
+        try:
+            motion, report = retarget(bvh, scale, fps)
+        except SkeletonError as error:
+            raise SkeletonError(f"{path}: {error}") from None
         return motion, _mapping_notes(Path(path).name, report)
     motion = _reordered(bvh_to_motion(bvh, fps=fps), order)
     unit, notes = (scale, []) if scale is not None else _detected_unit(Path(path).name, motion.skeleton)

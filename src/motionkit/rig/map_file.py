@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,13 @@ def read_rig_map(path: str | Path, skeleton: Skeleton) -> RigMap:
         SkeletonError: the map does not describe a body: a limb is missing, or a shin is not below its thigh.
     """
     places: dict[str, int] = {}
+    numbers = {name: number for number, name in enumerate(skeleton.names)}
     for joint, canonical in _pairs(path):
-        index = _index(path, joint, skeleton)
+        name = "_".join(joint.split())  # read_bvh replaces spaces in names in the same way
+        if name not in numbers:
+            near = _near(name, skeleton.names)
+            raise MotionkitError(f"{path}: the rig has no joint {joint[:40]!r}{near}")
+        index = numbers[name]
         if canonical is None:
             continue
         if canonical not in JOINT_NAMES:
@@ -59,9 +65,9 @@ def _pairs(path: str | Path) -> list[tuple[str, Any]]:
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
-        for name, _ in pairs if len(found) < len(pairs) else ():
-            if sum(name == other for other, _ in pairs) > 1:
-                raise MotionkitError(f"{path}: {name[:40]!r} is named twice")
+        if len(found) < len(pairs):
+            ((name, _),) = Counter(name for name, _ in pairs).most_common(1)
+            raise MotionkitError(f"{path}: {name[:40]!r} is named twice")
         return found
 
     text = read_text(path, "a bone map in JSON", limit=_MOST_BYTES)
@@ -73,13 +79,6 @@ def _pairs(path: str | Path) -> list[tuple[str, Any]]:
     if not isinstance(joints, dict):
         raise MotionkitError(f'{path}: expected {{"joints": {{"joint of the rig": "canonical joint"}}}}')
     return list(joints.items())
-
-
-def _index(path: str | Path, joint: str, skeleton: Skeleton) -> int:
-    name = "_".join(joint.split())  # read_bvh replaces spaces in names in the same way
-    if name not in skeleton.names:
-        raise MotionkitError(f"{path}: the rig has no joint {joint[:40]!r}" + _near(name, skeleton.names))
-    return skeleton.names.index(name)
 
 
 def _near(word: str, words: tuple[str, ...]) -> str:

@@ -72,6 +72,7 @@ _HANGS = {
     "ForeArm": "Arm",
     "Hand": "ForeArm",
 }
+_HELPERS = ("ik", "pole", "target")  # words before a part that mark a helper, such as ik_foot_l
 _TOKENS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _WORD = "|".join(sorted(WORDS, key=len, reverse=True))
 _SIDE = "|".join(SIDES)
@@ -131,6 +132,8 @@ def name_part(name: str) -> tuple[str, str]:
         match = _SIDED_WORD.fullmatch("".join(tokens[start:]))
         if match is None:
             continue
+        if any(token in _HELPERS for token in tokens[:start]):
+            return "", "other"
         before, word_after, word_before, after, alone = match.groups()
         side = before or after or next((t for t in tokens[:start] if t in SIDES), "")
         return SIDES.get(side, ""), WORDS[word_after or word_before or alone]

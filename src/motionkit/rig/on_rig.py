@@ -9,19 +9,19 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
-from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.motion.bvh import bvh_to_motion
 from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
-from motionkit.rig.gltf_rig import read_gltf_rig
+from motionkit.rig.character import read_character
 from motionkit.rig.map_file import read_rig_map
-from motionkit.rig.names import map_around
+from motionkit.rig.pose import map_file
+from motionkit.rig.read_file import is_gltf, read_file
 from motionkit.rig.retarget import RetargetReport, retarget
-from motionkit.rig.rig import Rig, make_rig, read_bvh_rig
+from motionkit.rig.rig import Rig, make_rig, read_bvh_rig, top_joint
 from motionkit.rig.to_rig import rig_bvh
 
-GLTF_ENDINGS = (".glb", ".vrm")
 NO_RIGS = (".vrma", ".gltf", ".fbx", ".usd", ".usda", ".usdc", ".usdz")  # known, but not read
 
 
@@ -38,14 +38,14 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
     ending = Path(path).suffix.lower()
     if ending in NO_RIGS:
         raise SkeletonError(f"{path}: expected a rig, a .bvh, .glb or .vrm file, found {ending}")
-    if ending not in GLTF_ENDINGS:
+    if not is_gltf(path):
         return read_bvh_rig(path, map_path)
-    found = read_gltf_rig(path)
-    joints = None if map_path is None else read_rig_map(map_path, found.bvh.skeleton)
+    found = read_character(path)
+    joints = None if map_path is None else read_rig_map(map_path, found.skeleton)
     try:
-        if joints is None and found.humanoid:
-            joints = map_around(found.bvh.skeleton, found.humanoid, "VRM")
-        return make_rig(found.bvh, Path(path).name, joints)
+        joints = joints or map_file(found.bvh({0}))
+        bvh = found.bvh({0, top_joint(found.skeleton, joints)})
+        return replace(make_rig(bvh, Path(path).name, joints), character=found)
     except SkeletonError as error:
         raise SkeletonError(f"{path}: {error}") from None
 
@@ -56,8 +56,8 @@ def from_rig(motion: Motion, rig: Rig) -> Motion:
 
 
 def read_clip(path: str | Path, rig: Rig) -> Motion:
-    """Read the motion of a BVH file on a rig; raises SkeletonError if it has other joints."""
-    motion = bvh_to_motion(read_bvh(path))
+    """Read the motion of a file on a rig, in its unit; raises SkeletonError if it has other joints."""
+    motion = bvh_to_motion(read_file(path))
     if not motion.skeleton.same_hierarchy(rig.skeleton):
         raise SkeletonError(f"{path}: has other joints than the rig {rig.name}")
     return motion
@@ -66,7 +66,7 @@ def read_clip(path: str | Path, rig: Rig) -> Motion:
 def read_motion(
     path: str | Path, rig: Rig | None = None, scale: float | None = None
 ) -> tuple[Motion, RetargetReport]:
-    """Read a BVH file of any human rig as a motion on the canonical joints, with standing toes on the floor.
+    """Read a file of any human rig as a motion on the canonical joints, with standing toes on the floor.
 
     Args:
         path: the file.
@@ -76,7 +76,7 @@ def read_motion(
     Raises:
         BvhError, SkeletonError: the file cannot be read, or its rig is not a human one.
     """
-    bvh = read_bvh(path)
+    bvh = read_file(path)
     try:
         motion, report = retarget(bvh, scale, rig=rig)
     except SkeletonError as error:
@@ -90,7 +90,7 @@ def read_on_any_rig(
     path: str | Path, target: Rig | None = None, scale: float | None = None
 ) -> tuple[Motion, RetargetReport]:
     """Like read_motion; a file on the target rig is read with that rig's joint map, up axis and rest pose."""
-    own = target is not None and target.same_rest(read_bvh(path).skeleton)
+    own = target is not None and target.same_rest(read_file(path).skeleton)
     return read_motion(path, target if own else None, scale)
 
 

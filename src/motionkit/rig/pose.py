@@ -14,8 +14,8 @@ from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, bvh_to_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_angle, quat_inverse, quat_multiply, quat_rotate
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
-from motionkit.rig.names import RigMap, map_rig
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.rig.names import RigMap, map_around, map_rig
 from motionkit.rig.rest_pose import (
     SIDES,
     SourceRig,
@@ -26,13 +26,12 @@ from motionkit.rig.rest_pose import (
     stands,
     tiny_length,
 )
-from motionkit.rig.up_axis import REST_VOTES, up_name, up_turn, voted_up
+from motionkit.rig.up_axis import human_up, up_name, up_turn
 
 _BACKWARDS = 0.5  # share of its length by which a foot may point backwards in the rest pose
 # Mean cosine between the left-right axes of hips and shoulders below which left and right of one are exchanged.
 _OPPOSED = -0.5
 _STRAIGHT = 0.8  # legs are straight if feet are further below the hips than this share of the leg length
-OWN_VOTES = 2.0  # weight of the rest pose's up axis in motionkit's own files (up_axis.py)
 _SAMPLES = 32  # recorded poses from which a rig without known names is mapped
 
 
@@ -74,6 +73,8 @@ class RigPose:
 
 def map_file(bvh: BvhFile) -> RigMap:
     """Map the canonical joints of a file; raises SkeletonError if it is not a human rig."""
+    if bvh.humanoid:
+        return map_around(bvh.skeleton, bvh.humanoid, "VRM")
     few = replace(bvh, values=bvh.values[:: max(1, len(bvh.values) // _SAMPLES)])
     return map_rig(bvh.skeleton, motion_kinematics(bvh_to_motion(few))[1])
 
@@ -96,7 +97,7 @@ def study_rig(
         _check_sides(source, positions)
     frame = body_frame(source)
     standing = stands(source, frame)
-    up = known[0] if known else _up_axis(source, positions, frame if standing else None)
+    up = known[0] if known else human_up(source, positions)
     rotations, positions = _turned_up(up, rotations, positions)
     if known:
         differences = known[1]
@@ -173,7 +174,7 @@ def _check_sides(source: SourceRig, positions: Array) -> None:
 
 
 def _toes_ahead(source: SourceRig, positions: Array, up: Array, ahead: Array) -> float | None:
-    """Mean cosine, in the ground plane, between toes and the forward direction (T, 3) of the hips; None without toes.
+    """Mean cosine between feet and the forward direction (T, 3) of the hips; None without toes.
 
     Only frames with straight legs below the body count, because the toes of a kneeling body point backwards.
     """
@@ -185,8 +186,10 @@ def _toes_ahead(source: SourceRig, positions: Array, up: Array, ahead: Array) ->
     if not bool(straight.any()):
         return None
     way = toes[0] + toes[1] - feet[0] - feet[1]
-    level = normalized(way - (way * up).sum(-1, keepdims=True) * up)
-    return float((level * normalized(ahead)).sum(-1)[straight].mean())
+    level = normalized(way) - (normalized(way) * up).sum(-1, keepdims=True) * up
+    return float(
+        (level * normalized(ahead)).sum(-1)[straight].mean()
+    )  # about 0 if the toes lie under the ankles
 
 
 def _names(source: SourceRig, part: str) -> tuple[str, str]:
@@ -230,17 +233,6 @@ def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
     small = BvhFile(kept, tuple(bvh.channels[j] for j in keep), values, bvh.frame_time)
     places = {name: new[j] for name, j in rig.places.items()}
     return small, RigMap(places, {name: new[j] for name, j in rig.turns.items()})
-
-
-def _up_axis(source: SourceRig, positions: Array, frame: Array | None) -> Array:
-    """The up axis (3,) of the world from the recorded poses, with a preference for Y and the rest pose."""
-    places = source.rig.places
-    arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
-    hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
-    rest = None if frame is None else quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
-    # The rest pose of motionkit's own files is upright, even if the recorded poses are few and show no standing body.
-    own = source.skeleton.same_hierarchy(canonical_skeleton())
-    return voted_up(positions, arms - hips, rest, OWN_VOTES if own else REST_VOTES)
 
 
 def pose_notes(pose: RigPose) -> tuple[str, ...]:

@@ -1,259 +1,236 @@
-"""Reads the first animation of a skinned glTF file as a Motion, in cm.
-
-A BVH rig has identity rotations in its rest pose and no scales. So scaled nodes, scaling matrices and morphs are
-refused, and the offsets are turned by the rest rotations.
-"""
+"""Reads the animations of a glTF file as motions on the joints of its character."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from motionkit.arrays import Array, lerp
-from motionkit.errors import MotionkitError
+from motionkit.arrays import Array, Doubles, lerp
 from motionkit.motion.frame_rate import nominal_rate
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import (
-    matrix_to_quat,
-    quat_continuous,
-    quat_inverse,
-    quat_multiply,
-    quat_normalize,
-    quat_rotate,
-    quat_slerp,
-)
-from motionkit.motion.skeleton import Skeleton
+from motionkit.motion.rotations import matrix_to_quat, quat_normalize, quat_slerp, quat_to_matrix
+from motionkit.names import visible
+from motionkit.reading import ALL, told_animation
+from motionkit.rig.character import Character, nearest_rotations, read_character
 from motionkit.rig.gltf import GltfFile
 
 CM = 100.0
-FPS = 60.0  # rate of a file whose keys are not evenly spaced
-FASTEST, MOST_FRAMES = 480.0, 500_000  # largest rate and number of frames
+FPS = 60.0  # rate of a file whose keys are not evenly spaced, or further than a second apart
+FASTEST, LONGEST = 480.0, 3600.0  # frames per second, and seconds, of the fastest and the longest animation
+MOST_POSES = 2**23  # joints times frames; an hour of 77 joints at 30 fps
 KEY_WITHIN = 1e-3  # share of the time between keys; a frame this little before a key counts as at the key
-MOST_JOINTS = 1000
-# Extensions that only concern meshes and their appearance.
-_HARMLESS = ("KHR_materials", "KHR_texture", "KHR_lights", "KHR_draco_mesh", "KHR_mesh_quantization", "VRMC_")
+_WIDTHS = {"rotation": 4, "translation": 3, "scale": 3}
 
 
-def read_glb(path: str | Path) -> Motion:
-    """Read the first animation of a .glb file, on the joints of its first skin and the nodes above them.
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The keys of one property of a node: times (N,) in seconds, values (N, C), or (3 N, C) with splines' tangents."""
 
-    Raises:
-        MotionkitError: the file has no skin or animation, or has a morph animation or a scale; the message names it.
-    """
-    file = GltfFile(path)
-    _check_extensions(file)
-    joints = _joints(file)
-    names, parents, offsets, rest = _rest(file, joints)
-    times, fps = _times(file, joints)
-    rotations = np.broadcast_to(rest, (len(times), *rest.shape)).copy()
-    places = np.broadcast_to(offsets, (len(times), *offsets.shape)).copy()
-    for joint, kind, keys, values, how in _channels(file, joints):
-        sampled = _sampled(keys, values, times, how, kind == "rotation")
-        if kind == "rotation":
-            rotations[:, joints.index(joint)] = np.roll(sampled, 1, axis=-1)
-        elif kind == "translation":
-            places[:, joints.index(joint)] = sampled
-        elif not np.allclose(sampled, 1.0, atol=1e-3):
-            raise file.fault(f"scales the joint {names[joints.index(joint)]}, which BVH cannot hold")
-    return _straightened(file, names, parents, rest, offsets, rotations, places, fps)
+    node: int
+    path: str
+    times: Doubles
+    values: Doubles
+    how: str
 
-
-def _check_extensions(file: GltfFile) -> None:
-    extensions = file.json.get("extensions")
-    if isinstance(extensions, dict) and "VRM" in extensions:
-        raise file.fault("is a VRM 0.x avatar, expected a skinned .glb with an animation")
-    needed = file.json.get("extensionsRequired") or []
-    for name in map(str, needed if isinstance(needed, list) else [needed]):
-        if not name.startswith(_HARMLESS):
-            raise file.fault(f"needs the extension {name}, which motionkit does not read")
-
-
-def _joints(file: GltfFile) -> list[int]:
-    """Nodes of the first skin and the nodes above them, parents before children."""
-    skins, nodes = file.items("skins"), file.items("nodes")
-    if not skins:
-        raise file.fault("has no skin, expected a skinned skeleton with an animation")
-    above: dict[int, int] = {}
-    for index, node in enumerate(nodes):
-        for child in _indices(file, node.get("children", [])):
-            file.item("nodes", child)
-            above[child] = index
-    wanted: set[int] = set()
-    for joint in _indices(file, skins[0].get("joints", [])):
-        file.item("nodes", joint)
-        while joint not in wanted:
-            wanted.add(joint)
-            if joint not in above:
-                break
-            joint = above[joint]
-    roots = [joint for joint in sorted(wanted) if joint not in above]
-    if len(roots) != 1:
-        raise file.fault(f"the skin has {len(roots)} roots, expected one")
-    if len(wanted) > MOST_JOINTS:
-        raise file.fault(f"the skin has {len(wanted)} joints, expected at most {MOST_JOINTS}")
-    ordered, waiting = [], [roots[0]]
-    while waiting:
-        joint = waiting.pop()
-        if joint in ordered:
-            raise file.fault(f"nodes[{joint}] is its own ancestor")
-        ordered.append(joint)
-        children = _indices(file, nodes[joint].get("children", []))
-        waiting += [child for child in reversed(children) if child in wanted]
-    return ordered
-
-
-def _indices(file: GltfFile, values: Any) -> list[int]:
-    if not isinstance(values, list) or not all(
-        isinstance(v, int) and not isinstance(v, bool) for v in values
-    ):
-        raise file.fault("a list of nodes holds something that is no index")
-    return values
-
-
-def _rest(file: GltfFile, joints: list[int]) -> tuple[list[str], list[int], Array, Array]:
-    """Names, parents, local translations (J, 3) in metres and local rotations (J, 4) of the nodes."""
-    names, parents, places, turns = [], [], [], []
-    above = {child: node for node in joints for child in file.items("nodes")[node].get("children", [])}
-    for joint in joints:
-        node = file.items("nodes")[joint]
-        name = str(node.get("name") or f"joint{joint}")
-        while name in names:
-            name += "_"
-        names.append(name)
-        parents.append(joints.index(above[joint]) if joint in above else -1)
-        place, turn = _pose(file, node, name)
-        places.append(place)
-        turns.append(turn)
-    return names, parents, np.array(places), np.array(turns)
-
-
-def _pose(file: GltfFile, node: dict[str, Any], name: str) -> tuple[Array, Array]:
-    if "matrix" in node:
-        matrix = _vector(file, node["matrix"], 16).reshape(4, 4).T
-        if not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-3):
-            raise file.fault(f"the matrix of {name} scales or shears, which BVH cannot hold")
-        return matrix[:3, 3], matrix_to_quat(matrix[:3, :3])
-    if not np.allclose(_vector(file, node.get("scale", [1, 1, 1]), 3), 1.0, atol=1e-3):
-        raise file.fault(f"the node {name} is scaled, which BVH cannot hold")
-    turn = np.roll(_vector(file, node.get("rotation", [0, 0, 0, 1]), 4), 1)
-    if abs(float(np.linalg.norm(turn)) - 1.0) > 0.1:
-        raise file.fault(f"the rotation of {name} is no unit quaternion")
-    return _vector(file, node.get("translation", [0, 0, 0]), 3), quat_normalize(turn)
-
-
-def _vector(file: GltfFile, values: Any, size: int) -> Array:
-    numbers = isinstance(values, list) and all(isinstance(v, (int, float)) for v in values)
-    if not numbers or len(values) != size or not all(abs(v) < 1e7 for v in values):
-        raise file.fault(f"a node has {str(values)[:40]}, expected {size} numbers")
-    return np.array(values, np.float64)
-
-
-def _channels(file: GltfFile, joints: list[int]) -> list[tuple[int, str, Array, Array, str]]:
-    """Node, path, times (N,), values and interpolation of each channel of the first animation that moves a joint."""
-    animations = file.items("animations")
-    if not animations:
-        raise file.fault("has no animation")
-    out = []
-    animation = animations[0]
-    for channel in animation.get("channels", []):
-        target = channel.get("target", {})
-        path, node = target.get("path"), target.get("node")
-        if path == "weights":
-            raise file.fault("animates morph targets, which BVH cannot hold")
-        if node not in joints:
-            continue
-        if path not in ("rotation", "translation", "scale"):
-            raise file.fault(f"animates {path!r}, expected rotations and translations")
-        samplers = animation.get("samplers", [])
-        which = channel.get("sampler")
-        if not isinstance(which, int) or not 0 <= which < len(samplers):
-            raise file.fault(f"a channel refers to the sampler {which}, which it does not have")
-        sampler = samplers[which]
-        how = sampler.get("interpolation", "LINEAR")
-        keys = file.array(sampler.get("input"), 1)[:, 0].astype(np.float64)
-        values = file.array(sampler.get("output"), 4 if path == "rotation" else 3).astype(np.float64)
-        if how == "CUBICSPLINE":  # tangent, value, tangent
-            values, how = values[1::3], "LINEAR"
-        if len(values) != len(keys) or not bool((np.diff(keys) > 0.0).all()):
-            raise file.fault(
-                f"a channel has {len(values)} values for {len(keys)} times, or times that do not rise"
+    def at(self, times: Array) -> Array:
+        """Values (T, C) at some times; constant beyond the ends."""
+        keys, values = self.times, self.values
+        spline = self.how == "CUBICSPLINE"
+        if len(keys) == 1:
+            return np.broadcast_to(values[1 if spline else 0], (len(times), values.shape[1])).copy()
+        after = np.clip(np.searchsorted(keys, times, side="right"), 1, len(keys) - 1)
+        before, span = after - 1, (keys[after] - keys[after - 1])[:, None]
+        share = np.clip((times[:, None] - keys[before, None]) / span, 0.0, 1.0)
+        if spline:  # in-tangent, value and out-tangent of each key
+            arriving, passing, leaving = values[0::3], values[1::3], values[2::3]
+            return (
+                (1 + 2 * share) * (1 - share) ** 2 * passing[before]
+                + share * (1 - share) ** 2 * span * leaving[before]
+                + share**2 * (3 - 2 * share) * passing[after]
+                + share**2 * (share - 1) * span * arriving[after]
             )
-        out.append((node, path, keys, values, how))
-    if not out:
-        raise file.fault("its first animation moves no joint of the skin")
+        if self.how == "STEP":
+            share = np.floor(share + KEY_WITHIN)  # keys are float32
+        if self.path == "rotation":
+            return quat_slerp(quat_normalize(values[before]), quat_normalize(values[after]), share[:, 0])
+        return lerp(values[before], values[after], share)
+
+
+def read_glb(path: str | Path, clip: str | None = None) -> Motion:
+    """Read an animation of a .glb or .vrm file in cm; raises MotionkitError, naming the file.
+
+    Args:
+        clip: name of the animation; needed if the file has several.
+    """
+    return motion_of(read_character(path), clip)[1].scaled(CM)
+
+
+def motion_of(character: Character, clip: str | None = None) -> tuple[str, Motion]:
+    """The name and the motion, in metres, of an animation of a character; arguments and errors as for read_glb."""
+    file = character.tree.file
+    name, animation = _animation(file, clip)
+    tracks = _tracks(file, animation, _moving(character))
+    if not tracks:
+        raise file.fault(f"its animation {visible(name)} moves no joint of the skeleton")
+    times, fps = _frames(file, tracks, len(character.nodes))
+    index = {node: joint for joint, node in enumerate(character.nodes)}
+    rotations = np.broadcast_to(character.rest[0], (len(times), len(index), 4)).astype(np.float32)
+    places: dict[int, Array] = {}
+    for track in tracks:
+        joint = index.get(track.node)
+        values = track.at(times)
+        if track.path == "scale":
+            _check_scale(character, track.node, values)
+        elif joint is not None and track.path == "rotation":
+            rotations[:, joint] = quat_normalize(np.roll(values, 1, axis=-1))
+        elif joint is not None:
+            places[joint] = values
+    motion = character.motion(rotations, places, fps)
+    above = [track for track in tracks if track.node not in index and track.path != "scale"]
+    return name, _carried(character, motion, above, times) if above else motion
+
+
+def clip_lengths(file: GltfFile) -> list[tuple[str, float]]:
+    """Names and seconds of the animations of a file; an animation without a name is called by its number, from 1."""
+    out = []
+    for number, animation in enumerate(file.items("animations")):
+        name, ends = animation.get("name"), [0.0]
+        for sampler in _objects(file, animation, "samplers"):
+            ends.append(_last_key(file, sampler))
+        out.append((name if isinstance(name, str) and name.strip() else str(number + 1), max(ends)))
     return out
 
 
-def _times(file: GltfFile, joints: list[int]) -> tuple[Array, float]:
+def _last_key(file: GltfFile, sampler: dict[str, Any]) -> float:
+    """The time of the last key as the accessor tells it, which glTF demands; nothing is read for it."""
+    largest = file.item("accessors", sampler.get("input")).get("max")
+    if not isinstance(largest, list) or len(largest) != 1 or type(largest[0]) not in (int, float):
+        return 0.0
+    return float(largest[0])
+
+
+def _animation(file: GltfFile, clip: str | None) -> tuple[str, dict[str, Any]]:
+    """The name and the animation of a name, by default the chosen one or the only one."""
+    clips = clip_lengths(file)
+    clip = clip or (told_animation() if len(clips) > 1 and told_animation() != ALL else None)
+    told = ", ".join(f"{visible(name)} ({seconds:.2f} s)" for name, seconds in clips)
+    if not clips:
+        raise file.fault("has no animation; as a rig it can be given with --rig")
+    if clip is None and len(clips) > 1:
+        raise file.fault(f"has {len(clips)} animations, choose one with --clip: {told}")
+    found = [i for i, (name, _) in enumerate(clips) if clip in (None, name)]
+    if len(found) != 1:
+        what = "no animation" if not found else f"{len(found)} animations"
+        raise file.fault(f"has {what} called {visible(clip)}; it has: {told}")
+    return clips[found[0]][0], file.items("animations")[found[0]]
+
+
+def _objects(file: GltfFile, animation: dict[str, Any], kind: str) -> list[dict[str, Any]]:
+    found = animation.get(kind, [])
+    if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
+        raise file.fault(f"{kind} of an animation is no list of objects")
+    return found
+
+
+def _moving(character: Character) -> set[int]:
+    """The nodes that move the character: its joints and all nodes above them."""
+    moving, node = set(character.nodes), character.tree.parents[character.nodes[0]]
+    while node >= 0:
+        moving.add(node)
+        node = character.tree.parents[node]
+    return moving
+
+
+def _tracks(file: GltfFile, animation: dict[str, Any], moving: set[int]) -> list[Track]:
+    """The tracks of some nodes; those of other nodes, of morph targets and of extensions are left out."""
+    samplers = _objects(file, animation, "samplers")
+    out: list[Track] = []
+    read: dict[int, Doubles] = {}  # times by accessor, which many samplers share
+    seen: set[tuple[int, str]] = set()
+    for channel in _objects(file, animation, "channels"):
+        target, which = channel.get("target"), channel.get("sampler")
+        if not isinstance(target, dict) or type(which) is not int or not 0 <= which < len(samplers):
+            raise file.fault("a channel has no target, or a sampler that does not exist")
+        node, path = target.get("node"), target.get("path")
+        if path not in _WIDTHS or node is None:
+            continue
+        file.item("nodes", node)
+        if node not in moving:
+            continue
+        if (node, path) in seen:
+            raise file.fault(f"two channels of an animation move the {path} of node {node}")
+        seen.add((node, path))
+        given: Any = samplers[which].get("input")
+        how = samplers[which].get("interpolation", "LINEAR")
+        if how not in ("LINEAR", "STEP", "CUBICSPLINE"):
+            raise file.fault(f"interpolation {visible(str(how)[:20])}, expected LINEAR, STEP or CUBICSPLINE")
+        file.item("accessors", given)
+        if given not in read:
+            read[given] = file.array(given, 1)[:, 0].astype(np.float64)
+        values = file.array(samplers[which].get("output"), _WIDTHS[path]).astype(np.float64)
+        count = len(values) / 3 if how == "CUBICSPLINE" else len(values)
+        if count != len(read[given]) or not bool((np.diff(read[given]) > 0.0).all()):
+            raise file.fault(
+                f"a channel has {count:g} values for {len(read[given])} times, or times that do not rise"
+            )
+        out.append(Track(node, path, read[given], values, how))
+    return out
+
+
+def _frames(file: GltfFile, tracks: list[Track], joints: int) -> tuple[Doubles, float]:
     """Times (T,) of the frames in seconds, and their rate."""
-    channels = _channels(file, joints)
-    start, end = min(keys[0] for _, _, keys, _, _ in channels), max(keys[-1] for _, _, keys, _, _ in channels)
-    longest = max((keys for _, _, keys, _, _ in channels), key=len)
-    steps = np.diff(longest)
+    start, end = min(track.times[0] for track in tracks), max(track.times[-1] for track in tracks)
+    steps = np.diff(max((track.times for track in tracks), key=len))
     fps = FPS
-    if len(steps) and float(np.ptp(steps)) < 0.02 * float(np.median(steps)):
+    if len(steps) and float(np.ptp(steps)) < 0.02 * float(np.median(steps)) and float(steps.mean()) <= 1.0:
         fps = nominal_rate(1.0 / float(steps.mean()))
-    if not 1e-3 < fps <= FASTEST:
+    if fps > FASTEST:
         raise file.fault(f"its keys are {fps:.4g} a second, expected up to {FASTEST:g}")
     count = round((end - start) * fps) + 1
-    if count > MOST_FRAMES:
-        raise file.fault(
-            f"its animation has {count:,} frames at {fps:g} fps, expected at most {MOST_FRAMES:,}"
-        )
+    if end - start > LONGEST:
+        raise file.fault(f"its animation lasts {end - start:,.0f} s, expected at most {LONGEST:,.0f}")
+    if count * joints > MOST_POSES:
+        raise file.fault(f"its animation has {count:,} frames of {joints} joints, more than fit in memory")
     return start + np.arange(count) / fps, fps
 
 
-def _sampled(keys: Array, values: Array, times: Array, how: str, turns: bool) -> Array:
-    """Interpolate values (N, C) at keys (N,) at some times; constant beyond the ends."""
-    after = np.clip(np.searchsorted(keys, times, side="right"), 1, max(len(keys) - 1, 1))
-    before = after - 1
-    if len(keys) == 1:
-        return np.broadcast_to(values[0], (len(times), values.shape[1])).copy()
-    share = np.clip((times - keys[before]) / (keys[after] - keys[before]), 0.0, 1.0)
-    if how == "STEP":
-        share = np.floor(share + KEY_WITHIN)  # keys are float32
-    if turns:
-        return quat_slerp(quat_normalize(values[before]), quat_normalize(values[after]), share)
-    return lerp(values[before], values[after], share[:, None])
+def _check_scale(character: Character, node: int, values: Array) -> None:
+    """Raise MotionkitError for a joint whose scale leaves that of the rest pose, which no motion holds."""
+    rest = np.linalg.norm(character.tree.local[node][:3, :3], axis=0)
+    if not np.allclose(values, rest, rtol=1e-2, atol=1e-4 * float(rest.max())):
+        raise character.tree.fault(f"scales the node {character.tree.name(node)}, which a motion cannot hold")
 
 
-def _straightened(
-    file: GltfFile,
-    names: list[str],
-    parents: list[int],
-    rest: Array,
-    offsets: Array,
-    rotations: Array,
-    places: Array,
-    fps: float,
-) -> Motion:
-    """The motion on a skeleton with identity rotations in its rest pose, as BVH needs."""
-    above = [rest[0]]
-    for joint in range(1, len(names)):
-        above.append(quat_multiply(above[parents[joint]], rest[joint]))
-    world = np.stack(above)  # global rotations of the rest pose
-    outer = np.stack([world[parent] if parent >= 0 else np.array([1.0, 0, 0, 0]) for parent in parents])
-    turned = quat_multiply(quat_multiply(outer, rotations), quat_inverse(world))
-    moved = quat_rotate(outer, places)
-    still = quat_rotate(outer, offsets)
-    ends = {}
-    for joint, node in enumerate(_joints(file)):
-        extras = file.items("nodes")[node].get("extras")
-        end = extras.get("end_site") if isinstance(extras, dict) else None
-        if isinstance(end, list) and joint not in parents:
-            x, y, z = quat_rotate(world[joint], _vector(file, end, 3)) * CM
-            ends[joint] = (float(x), float(y), float(z))
-    skeleton = Skeleton(tuple(names), tuple(parents), (still * CM).astype(np.float32), ends)
-    travels = np.abs(moved - still)[:, 1:].max(initial=0.0) > 1e-5
-    local = (moved * CM).astype(np.float32) if travels else None
-    if not bool(np.isfinite(turned).all()):
-        raise MotionkitError(f"{file.path}: a rotation is not a number")
-    return Motion(
-        skeleton,
-        quat_continuous(quat_normalize(turned)).astype(np.float32),
-        (moved[:, 0] * CM).astype(np.float32),
-        fps,
-        local,
-    )
+def _carried(character: Character, motion: Motion, tracks: list[Track], times: Doubles) -> Motion:
+    """A motion in metres whose root is also moved by the nodes above it."""
+    tree, chain = character.tree, []
+    node = tree.parents[character.nodes[0]]
+    while node >= 0:
+        chain.append(node)
+        node = tree.parents[node]
+    moved = np.broadcast_to(np.eye(4), (len(times), 4, 4))
+    for node in reversed(chain):
+        local = np.broadcast_to(tree.local[node], (len(times), 4, 4)).copy()
+        for track in (track for track in tracks if track.node == node):
+            values = track.at(times)
+            if track.path == "translation":
+                local[:, :3, 3] = values
+            else:
+                size = np.linalg.norm(tree.local[node][:3, :3], axis=0)
+                local[:, :3, :3] = quat_to_matrix(quat_normalize(np.roll(values, 1, axis=-1))) * size
+        moved = moved @ local
+    # The root is where the rest of the chain has it; from there the moving chain takes it.
+    away = moved @ np.linalg.inv(character.outer[0])
+    turns = nearest_rotations(away[:, :3, :3])
+    root = np.einsum("tab,tb->ta", away[:, :3, :3], motion.root_positions) + away[:, :3, 3]
+    rotations = motion.local_rotations.copy()
+    first = turns @ quat_to_matrix(rotations[:, 0].astype(np.float64))
+    rotations[:, 0] = matrix_to_quat(first)
+    places = motion.local_positions
+    if places is not None:
+        places = places.copy()
+        places[:, 0] = root
+    return Motion(motion.skeleton, rotations, root.astype(np.float32), motion.fps, places)

@@ -61,6 +61,9 @@ _FACE_WORDS = re.compile(
     r"eye|jaw|ear|hair|tail|braid|bang|brow|lash|lid|lip|mouth|tongue|teeth|tooth|nose|cheek|chin|face",
     re.IGNORECASE,
 )
+_STEEP = 0.9  # sine of the pitch above which a toe joint lies under its ankle
+_ASIDE = 0.7  # cosine of the angle to the left-right axis above which the end of a head does not show its top
+_LEFT = np.array([1.0, 0.0, 0.0], np.float32)
 _ALONG_NECK = 45.0  # degrees; largest angle between the neck and a head child that continues it
 # Bending axes of knees and elbows in the canonical rest pose, the same in every CMU recording.
 _HINGES: dict[str, tuple[float, float, float]] = {
@@ -213,7 +216,9 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
         if part == "ToeBase":
             out[joint] = out[PARENTS[joint]]
         elif part == "Foot" and bone is not None:
-            out[joint] = _foot_difference(source, frame, name, *bone)
+            toe = source.bone(name.replace("Foot", "ToeBase"))
+            shown = toe if toe is not None and _under(frame, bone[1], toe[1]) else bone
+            out[joint] = _foot_difference(source, frame, name, *shown)
         elif part in _LIMBS or part == "Hand":
             parent = out[PARENTS[joint]]
             if part == "Arm":  # relative to the chest, because collar bones vary between rigs
@@ -221,9 +226,22 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
             out[joint] = _turned(parent, bone, 0.0 if part in _LIMBS else _TOLERANCE["Hand"])
         elif part == "Foot":
             out[joint] = _foot_difference(source, frame, name, _CANONICAL.offsets[joint + 1], _forward(frame))
-        elif name != "Hips":
+        elif name != "Hips" and not (
+            name in _TOPS and bone and _sideways(quat_rotate(frame, _LEFT), bone[1])
+        ):
             out[joint] = _turned(frame, bone, _TOLERANCE.get(part, _TOLERANCE_ELSEWHERE))
     return out
+
+
+def _under(frame: Array, foot: Array, toe: Array) -> bool:
+    """Whether the toe joint lies under the ankle and the toes (3,) extend over the ground, as no hanging foot's do."""
+    down, ahead = (quat_rotate(quat_inverse(frame), normalized(way)) for way in (foot, toe))
+    return bool(down[1] < -_STEEP and abs(ahead[1]) < 1.0 - _STEEP)
+
+
+def _sideways(lateral: Array, bone: Array) -> bool:
+    """Whether bones (..., 3) mostly point along the left-right axis (..., 3); no head does, so its end misleads."""
+    return float(np.abs((normalized(bone) * normalized(lateral)).sum(-1)).mean()) > _ASIDE
 
 
 def _forward(frame: Array) -> Array:
@@ -372,12 +390,19 @@ class _Poses:
 
     def _along_spine(self, name: str, lateral: Array) -> None:
         bone = self.bone(name)
-        if bone is None:
+        if bone is None or (name in _TOPS and self._misleads(bone[1])):
             self.settle(name, self.seen(name), self.upright)
             return
         canonical, world = bone
         rest = frame_from(np.array([1.0, 0.0, 0.0], np.float32), canonical)
         self.settle(name, quat_multiply(frame_from(lateral, world), quat_inverse(rest)), self.upright)
+
+    def _misleads(self, end: Array) -> bool:
+        """Whether the end (T, 3) of a head points to the side or hangs in upright bodies."""
+        away = angle_between(self.up[self.upright], end[self.upright])
+        return float(np.median(away)) > _TOLERANCE["Head"] or _sideways(
+            self.arm_axis[self.upright], end[self.upright]
+        )
 
     def _limb(self, name: str, hinge_name: str) -> None:
         bone = self.bone(name)

@@ -14,7 +14,7 @@ import numpy as np
 
 from motionkit.arrays import Array, length, lower_median
 from motionkit.errors import SkeletonError
-from motionkit.motion.bvh import BvhFile, read_bvh
+from motionkit.motion.bvh import BvhFile
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
     quat_continuous,
@@ -27,6 +27,7 @@ from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_
 from motionkit.rig.names import RigMap
 from motionkit.rig.planting import plant_feet
 from motionkit.rig.pose import RigPose, map_file, median_offsets, pose_notes, study_rig
+from motionkit.rig.read_file import read_file
 from motionkit.rig.rest_pose import SIDES, SourceRig
 from motionkit.rig.rig import Rig
 from motionkit.rig.units import check_leg, guess_scale
@@ -70,9 +71,13 @@ def retarget_file(
     fps: float | None = None,
     own_body: bool = False,
     plant: bool = False,
+    clip: str | None = None,
 ) -> tuple[Motion, RetargetReport]:
-    """Read a BVH file and retarget it; arguments as for retarget. Raises BvhError or SkeletonError."""
-    bvh = read_bvh(path)
+    """Read a file and retarget it; clip as for read_file, other arguments as for retarget.
+
+    Raises BvhError, MotionkitError or SkeletonError.
+    """
+    bvh = read_file(path, clip)
     try:
         return retarget(bvh, scale, fps, own_body, plant=plant)
     except SkeletonError as error:

@@ -15,6 +15,7 @@ from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, read_bvh
 from motionkit.motion.bvh_text import read_hierarchy
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
+from motionkit.rig.character import Character
 from motionkit.rig.map_file import read_rig_map
 from motionkit.rig.names import RigMap
 from motionkit.rig.pose import RigPose, map_file, median_offsets, pose_notes, study_rig
@@ -47,6 +48,7 @@ class Rig:
             file does not show it.
         fps: frame rate of the file.
         notes: notes on its axes and rest pose.
+        character: the .glb or .vrm file that it is from, into which motion on it is written; else None.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Rig:
     stance: float | None
     fps: float
     notes: tuple[str, ...]
+    character: Character | None = None
 
     @property
     def scale(self) -> float:

@@ -21,6 +21,7 @@ from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_
 from motionkit.rig.rest_pose import SIDES, SourceRig
 from motionkit.rig.retarget import to_local
 from motionkit.rig.rig import STANCE_QUANTILE, Rig, mover, stance_part, top_joint
+from motionkit.rig.twist import spread_twist
 from motionkit.rig.up_axis import up_turn
 
 THIGHS = [JOINT_NAMES.index(f"{side}UpLeg") for side in SIDES]
@@ -145,6 +146,8 @@ def from_body(body: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
     turned = turn(rig, carriers, wanted, local)
     hips = quat_rotate(down, body.root_positions.astype(np.float64)) / rig.scale
     _move(rig, places, turned, hips)
+    if clip is None:
+        spread_twist(rig, local)
     translates = clip is not None and clip.local_positions is not None
     translates = translates or mover(skeleton, rig.channels, rig.joints) != 0
     return Motion(

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from motionkit.arrays import Array, normalized
+from motionkit.errors import SkeletonError
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_between, quat_multiply, quat_rotate
-from motionkit.motion.skeleton import Skeleton
+from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+from motionkit.reading import told_up
+from motionkit.rig.names import map_rig, name_part
+from motionkit.rig.rest_pose import SourceRig, body_frame, stands
 
 # Weights of Y and of the up axis of a standing rest pose, added to the mean cosine of recorded bodies with each axis.
 # Recorded bodies may lie on the floor or be upside down for a whole clip.
 Y_VOTES, REST_VOTES = 0.3, 0.4
+OWN_VOTES = 2.0  # weight of the rest pose's up axis in motionkit's own files
 _STANDS = 0.8  # cosine between an axis and the line from feet to head, above which a rest pose stands
 _LIES_WITHIN = (0.05, 0.25)  # distances below and above height zero, as shares of the body's size
 _AXES = np.eye(3, dtype=np.float32)
@@ -26,8 +29,9 @@ def voted_up(
 ) -> Array:
     """The axis (3,) that points up, with its sign.
 
-    A body that lies on the ground for a whole clip, as in push-ups, does not point up. So Y still wins if the lowest
-    joint is at about height zero along Y, and not along the other axis.
+    A body that lies on the ground for a whole clip, as in push-ups, does not point up, and one that kneels bends
+    forward. So between Y and the axis along the body, the one along which the lowest joint is at about height zero
+    wins, if that is one of them only. A body that is upright as its rest pose is does not lie.
 
     Args:
         positions: (T, J, 3) of the recorded joints.
@@ -43,19 +47,49 @@ def voted_up(
         axis = int(np.abs(rest).argmax())
         votes[axis] += rest_votes
         sign[axis] = 1.0 if rest[axis] > 0 else -1.0
-    best = int(votes.argmax())
-    up = _AXES[best] * sign[best].astype(np.float32)
-    return _AXES[1] if best != 1 and _on_ground(positions, _AXES[1]) and not _on_ground(positions, up) else up
+    best, along = int(votes.argmax()), int(np.abs(mean).argmax())
+    other = along if best == 1 else 1
+    up, instead = (_AXES[axis] * sign[axis].astype(np.float32) for axis in (best, other))
+    upright = rest is not None and along == int(np.abs(rest).argmax())
+    if best == other or upright or _on_ground(positions, up) or not _on_ground(positions, instead):
+        return up
+    return instead
+
+
+def human_up(source: SourceRig, positions: Array) -> Array:
+    """The axis (3,) that points up in recorded positions (T, J, 3) of a human rig, with its sign.
+
+    The recorded bodies, a preference for Y, and the rest pose decide; told_up overrides.
+    """
+    given = told_up()
+    if given is not None:
+        return named_up(given)
+    places = source.rig.places
+    arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
+    hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
+    frame = body_frame(source)
+    rest = quat_rotate(frame, _AXES[1]) if stands(source, frame) else None
+    # The rest pose of motionkit's own files is upright, even if the recorded poses are few and show no standing body.
+    own = source.skeleton.same_hierarchy(canonical_skeleton())
+    return voted_up(positions, arms - hips, rest, OWN_VOTES if own else REST_VOTES)
 
 
 def up_axis(positions: Array, skeleton: Skeleton) -> Array:
-    """The axis (3,) from the feet to the head in global positions (T, J, 3), with its sign.
+    """The axis (3,) that points up in the global positions (T, J, 3) of any rig, with its sign.
 
-    Without such joint names, it is Y or Z, the axis along which the body is larger, and Y if in doubt. A long body such
-    as a snake or an arm on a table lies on the ground of Y if its lowest joint is at about height zero along Y.
+    Human rigs are asked by human_up, others that have feet and a head by the line between them. Without, it is Y or Z,
+    the axis along which the body is larger, and Y if in doubt. A long body such as a snake or an arm on a table lies on
+    the ground of Y if its lowest joint is at about height zero along Y.
     """
-    high = _named(skeleton.names, r"head|neck")
-    low = _named(skeleton.names, r"foot|toe|ankle")
+    given = told_up()
+    if given is not None:
+        return named_up(given)
+    try:
+        return human_up(SourceRig(skeleton, map_rig(skeleton), skeleton.rest_positions()), positions)
+    except SkeletonError:
+        parts = [name_part(name)[1] for name in skeleton.names]
+    high = [joint for joint, part in enumerate(parts) if part in ("head", "neck")]
+    low = [joint for joint, part in enumerate(parts) if part in ("foot", "toe")]
     if high and low:
         rest = _between(skeleton.rest_positions()[None], high, low)[0]
         stands = float(np.abs(rest).max()) > _STANDS * float(np.linalg.norm(rest))
@@ -78,6 +112,12 @@ def up_name(up: Array) -> str:
     return f"{'-' if up[axis] < 0 else '+'}{'XYZ'[axis]}"
 
 
+def named_up(name: str) -> Array:
+    """The up axis (3,) of a name such as "+Z", "z" or "-Y"."""
+    sign = np.float32(-1.0 if name.startswith("-") else 1.0)
+    return _AXES["XYZ".index(name[-1].upper())] * sign
+
+
 def up_turn(up: Array) -> Array:
     """The rotation (4,) that turns an up axis (3,) to +Y."""
     return quat_between(up, _AXES[1])
@@ -90,10 +130,6 @@ def turned_world(motion: Motion, turn: Array) -> Motion:
     rotations[:, 0] = quat_multiply(turns, rotations[:, 0])
     roots = quat_rotate(turns, motion.root_positions)
     return replace(motion, local_rotations=rotations, root_positions=roots)
-
-
-def _named(names: Sequence[str], pattern: str) -> list[int]:
-    return [i for i, name in enumerate(names) if re.search(pattern, name, re.IGNORECASE)]
 
 
 def _between(positions: Array, high: list[int], low: list[int]) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton
+from motionkit.reading import reading
 from motionkit.rig.canonical import canonical_motion
 from motionkit.rig.units import motion_unit
 from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
@@ -23,6 +24,9 @@ from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
 CM, CM_PER_METRE = 0.01, 100.0  # metres per cm, and cm per metre
 # Range over the ground in cm below which a root stands still, and from which the hips below it travel.
 STILL_ROOT, MOVING_HIPS = 1.0, 30.0
+AS_BROUGHT = partial(
+    reading, up="+Y", cm=1.0
+)  # in which motions that were brought into cm with Y up are read again
 _Y_UP = np.array([0.0, 1.0, 0.0], np.float32)
 
 
@@ -41,6 +45,12 @@ class InMetres:
     scale: float
     up: Array
     note: str
+
+
+def taken(motion: Motion) -> str:
+    """What the unit and the up axis of a motion of any rig are taken to be, in words."""
+    up = up_axis(motion_kinematics(motion)[1], motion.skeleton)
+    return f"unit: {motion_unit(motion)[1]}; {up_name(up)} up"
 
 
 def in_metres(motion: Motion) -> InMetres:
@@ -87,7 +97,8 @@ class Upright:
     def canonical(self) -> Motion | None:
         """The motion on the canonical joints with its own bone lengths, in cm; None for rigs that are not human."""
         try:
-            return canonical_motion(self.motion, own_body=True, scale=1.0)
+            with AS_BROUGHT():
+                return canonical_motion(self.motion, own_body=True, scale=1.0)
         except SkeletonError:
             return None
 

@@ -185,11 +185,12 @@ def paper_foot_slip(
         feet: (B, T, 4, 3) foot positions in cm relative to the root, by forward kinematics.
         features: (B, T, 276) unnormalised means.
     """
-    columns = feature_layout(space.layout)
-    rows = torch.tensor(columns.indices("joint_positions", FOOT_JOINTS), device=feet.device)
+    # Slices, because a list of indices comes from the CPU, and a CUDA graph cannot wait for that.
+    rows = feature_layout(space.layout).indices("joint_positions", FOOT_JOINTS)
+    given = torch.stack([features[:, 1:, first : last + 1] for first, _, last in rows], dim=-2)
     height = torch.zeros_like(feet[..., :1, :])
     height[..., 0, 1] = space.root_height(features)
-    moved = (feet + height)[:, :-1] - features[:, 1:][..., rows]
+    moved = (feet + height)[:, :-1] - given
     touching = torch.sigmoid(prediction.contact_logits)
     both = touching[:, 1:] * touching[:, :-1]
     return _mean((both * moved.abs().sum(-1) / FOOT_UNIT).sum(-1), batch.mask[:, 1:])
@@ -278,6 +279,6 @@ def training_losses(
 
 
 def total_loss(terms: dict[str, Tensor], weights: dict[str, float] | None = None) -> Tensor:
-    """Return the weighted sum of the losses (paper eq. 4); a loss without a named weight has weight 1."""
+    """Return the weighted sum of the losses (...) (paper eq. 4); a loss without a named weight has weight 1."""
     weights = WEIGHTS if weights is None else weights
-    return torch.stack([weights.get(name, 1.0) * value for name, value in terms.items()]).sum()
+    return torch.stack([weights.get(name, 1.0) * value for name, value in terms.items()]).sum(0)

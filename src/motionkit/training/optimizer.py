@@ -7,7 +7,7 @@ average (Liu et al. 2025, "Muon is Scalable for LLM Training"), so one learning 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -15,7 +15,6 @@ import torch.distributed as dist
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from motionkit.models.predictor import Predictor
 from motionkit.training.options import OptimizerOptions
 
 MOMENTUM = 0.95
@@ -46,7 +45,7 @@ def orthogonalized(x: Tensor, bfloat16: bool = False) -> Tensor:
 
 
 class Muon(torch.optim.Optimizer):
-    """Muon for parameters (P, M, C N), which hold C matrices (M, N) side by side for each of P parts.
+    """Muon for parameters (..., M, C N), which hold C matrices (M, N) side by side for each part, and for each seed.
 
     Args:
         parameters: pairs of a parameter and its C.
@@ -54,7 +53,11 @@ class Muon(torch.optim.Optimizer):
     """
 
     def __init__(
-        self, parameters: Iterable[tuple[nn.Parameter, int]], rate: float, weight_decay: float, bfloat16: bool
+        self,
+        parameters: Iterable[tuple[nn.Parameter, int]],
+        rate: float | Tensor,
+        weight_decay: float,
+        bfloat16: bool,
     ) -> None:
         given = list(parameters)
         super().__init__([p for p, _ in given], {"lr": rate, "weight_decay": weight_decay})
@@ -75,16 +78,19 @@ class Muon(torch.optim.Optimizer):
             sides = (p.shape[-2], p.shape[-1] // counts[p])
             alike.setdefault(tuple(sorted(sides)), []).append(p)
         for (_, longer), members in alike.items():
-            low = [_low(matrix) for p in members for matrix in ahead[p].chunk(counts[p], dim=-1)]
+            low = [
+                _low(matrix).flatten(0, -3) for p in members for matrix in ahead[p].chunk(counts[p], dim=-1)
+            ]
             updates = iter(self._shared(torch.cat(low)).split([len(x) for x in low]))
             whole = []
             for p in members:
                 high = p.shape[-1] // counts[p] < p.shape[-2]
                 apart = [next(updates) for _ in range(counts[p])]
                 apart = [x.transpose(-1, -2) for x in apart] if high else apart
-                whole.append(apart[0] if len(apart) == 1 else torch.cat(apart, dim=-1))
+                whole.append((apart[0] if len(apart) == 1 else torch.cat(apart, dim=-1)).reshape(p.shape))
             torch._foreach_mul_([*members], 1.0 - group["lr"] * group["weight_decay"])
-            torch._foreach_add_([*members], whole, alpha=-group["lr"] * AS_ADAMW * longer**0.5)
+            torch._foreach_mul_(whole, -group["lr"] * AS_ADAMW * longer**0.5)
+            torch._foreach_add_([*members], whole)
 
     def _shared(self, x: Tensor) -> Tensor:
         """Make matrices (N, M, M') orthogonal. Processes share the work and then exchange the results."""
@@ -117,12 +123,15 @@ def _low(x: Tensor) -> Tensor:
     return x.transpose(-1, -2) if x.shape[-2] > x.shape[-1] else x
 
 
-def _adamw(parameters: Sequence[nn.Parameter], options: OptimizerOptions) -> torch.optim.AdamW:
+def _adamw(
+    parameters: Sequence[nn.Parameter], options: OptimizerOptions, rate: float | Tensor
+) -> torch.optim.AdamW:
     """Return AdamW, fused into one kernel if this torch supports it, which is three times as fast on a CPU."""
     settings: dict[str, Any] = {
-        "lr": options.rate,
+        "lr": rate,
         "betas": options.betas,
         "weight_decay": options.weight_decay,
+        "capturable": isinstance(rate, Tensor),
     }
     try:
         return torch.optim.AdamW(parameters, fused=True, **settings)
@@ -131,20 +140,35 @@ def _adamw(parameters: Sequence[nn.Parameter], options: OptimizerOptions) -> tor
 
 
 def make_optimizers(
-    module: nn.Module, network: Predictor, options: OptimizerOptions, bfloat16: bool
+    parameters: Mapping[str, nn.Parameter],
+    matrices: Mapping[str, int],
+    options: OptimizerOptions,
+    bfloat16: bool,
 ) -> list[torch.optim.Optimizer]:
-    """Return the optimizers for all parameters of a module that contains a network.
+    """Return the optimizers of parameters by name.
+
+    On a GPU the learning rate is a tensor, so that a CUDA graph of a step reads the present one.
 
     Args:
+        matrices: the number of matrices side by side in those parameters that Muon may update (layer_matrices).
         bfloat16: whether Muon may multiply in 16 bits.
     """
-    counts = network.layer_matrices() if options.method == "muon" else {}
-    own = dict(network.named_parameters())
-    matrices = [(own[name], count) for name, count in counts.items()]
-    by_muon = {id(p) for p, _ in matrices}
+    counts = matrices if options.method == "muon" else {}
+    device = next(iter(parameters.values())).device
+    rate = options.rate if device.type == "cpu" else torch.tensor(options.rate, device=device)
     made: list[torch.optim.Optimizer] = [
-        _adamw([p for p in module.parameters() if id(p) not in by_muon], options)
+        _adamw([p for name, p in parameters.items() if name not in counts], options, rate)
     ]
-    if matrices:
-        made.append(Muon(matrices, options.rate, options.weight_decay, bfloat16))
+    if counts:
+        chosen = [(parameters[name], count) for name, count in counts.items()]
+        made.append(Muon(chosen, rate, options.weight_decay, bfloat16))
     return made
+
+
+def set_rate(optimizer: torch.optim.Optimizer, rate: Tensor) -> None:
+    """Set the learning rate of all parameters to that in a tensor."""
+    for group in optimizer.param_groups:
+        if isinstance(group["lr"], Tensor):
+            group["lr"].copy_(rate)
+        else:
+            group["lr"] = float(rate)

@@ -46,8 +46,7 @@ class Outcome:
         trained, at = self.learner.network, self.report.progress
         with torch.random.fork_rng(devices=[]):  # keeps the random state of the run
             network = build(trained.config, trained.control_size)
-        average = {n: t.cpu() for n, t in self.learner.average.items()}
-        network.load_state_dict(self.beginning.part_way_back(average))
+        network.load_state_dict(self.beginning.part_way_back(self.learner.averages()[0]))
         card = {
             "dataset": {"clips": len(self.dataset.clips), "types": list(self.dataset.types)},
             "options": self.options.to_dict(),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import torch
 from torch import Tensor, cuda
 
 Work = Callable[..., tuple[Tensor, ...]]
@@ -19,10 +20,14 @@ class Replayed:
 
     The function must launch the same kernels at every call, so it must not read values of tensors in Python. Gradients
     stay in the same memory, so it should set them to None at its beginning.
+
+    Args:
+        state: returns the tensors that the function changes, such as weights. Calls before the capture do not count:
+            these tensors get their values back, and those that are made meanwhile become zero.
     """
 
-    def __init__(self, work: Work) -> None:
-        self.work = work
+    def __init__(self, work: Work, state: Callable[[], list[Tensor]] = list) -> None:
+        self.work, self.state = work, state
         self._graph: cuda.CUDAGraph | None = None
         self._inputs: list[Tensor] = []
         self._outputs: tuple[Tensor, ...] = ()
@@ -42,6 +47,7 @@ class Replayed:
         device = inputs[0].device
         # The warm-up must not change the random state: a resumed run captures again and must draw the same numbers.
         random_state = cuda.get_rng_state(device)
+        before = {id(x): x.detach().clone() for x in self.state()}
         self._inputs = [x.detach().clone() for x in inputs]
         stream = cuda.Stream(device)
         stream.wait_stream(cuda.current_stream(device))
@@ -50,8 +56,12 @@ class Replayed:
                 self.work(*self._inputs)
         cuda.current_stream(device).wait_stream(stream)
         cuda.set_rng_state(random_state, device)
+        with torch.no_grad():
+            for x in self.state():
+                x.copy_(before[id(x)]) if id(x) in before else x.zero_()
         self._graph = cuda.CUDAGraph()
-        with cuda.graph(self._graph):
+        # Other threads may go on, such as the one that pins the memory of coming windows.
+        with cuda.graph(self._graph, capture_error_mode="thread_local"):
             self._outputs = self.work(*self._inputs)
 
 

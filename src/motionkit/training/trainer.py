@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError, ModelError, MotionkitError
+from motionkit.locks import held
 from motionkit.models.file_check import check_names
 from motionkit.models.network import parameter_count
 from motionkit.training.beginning import begin
@@ -64,13 +66,15 @@ def train(
     Raises:
         DatasetError: if the dataset does not fit the preset.
         ModelError: if the checkpoint is damaged or does not fit the options.
+        MotionkitError: another process trains in the run folder.
     """
     options = options or fine_tune_options("tptn", minutes=FINE_TUNE_MINUTES)
     dataset = dataset_folder if isinstance(dataset_folder, Dataset) else Dataset(dataset_folder)
     run = TrainingRun(dataset, Path(output), options, run_folder, device, on_event)
-    if resume:
-        run.resume()
-    return run.go()
+    with run.alone():
+        if resume:
+            run.resume()
+        return run.go()
 
 
 class TrainingRun:
@@ -103,6 +107,17 @@ class TrainingRun:
         self.sampler = WindowSampler(dataset, options.sampler, options.seed, kept, self.beginning.layout.kind)
         self.blocks = WindowBlocks(self.sampler, network, options, places)
         self.asked_to_stop = self.stops = False
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold the lock of the run folder for a block. Raises MotionkitError if another process trains there."""
+        if not self.processes.first:
+            yield
+            return
+        with held(self.report.folder, "training here") as notes:
+            for line in notes:
+                self.report.note(line)
+            yield
 
     def resume(self) -> None:
         """Continue from the checkpoint. Raises DatasetError or ModelError if there is none or it does not fit."""
@@ -180,7 +195,7 @@ class TrainingRun:
         at, report, options = self.progress, self.report, self.progress.options.output
         clock = saved = scored = time.monotonic()
         while at.share < 1.0:
-            at.losses = self._train_step()
+            self._train_step()
             now = time.monotonic()
             at.seconds, clock = at.seconds + now - clock, now
             if at.options.minutes:
@@ -197,7 +212,7 @@ class TrainingRun:
             if self.stops or (self.processes.world == 1 and self.asked_to_stop):
                 return
 
-    def _train_step(self) -> dict[str, float]:
+    def _train_step(self) -> None:
         at, processes = self.progress, self.processes
         self.learner.trainable.train()
         if processes.world > 1:
@@ -207,10 +222,13 @@ class TrainingRun:
         batch = self.blocks.next(at.step, at.share)
         terms = self.learner.step(batch, self.blocks.options, at)
         at.step += 1
-        stop = terms["gradient"].new_tensor(float(self.asked_to_stop))  # shared, to stop at the same step
-        *means, stops = processes.mean(torch.stack([*terms.values(), stop]))
-        self.stops = stops > 0
-        return dict(zip(terms, means, strict=True))
+        # A GPU computes the next steps meanwhile: its numbers are only waited for where they are logged.
+        waits = processes.device.type == "cpu" or processes.world > 1
+        if waits or at.step % at.options.output.log_every == 0 or at.share >= 1.0:
+            stop = terms["gradient"].new_tensor(float(self.asked_to_stop))  # shared, to stop at the same step
+            *means, stops = processes.mean(torch.stack([*terms.values(), stop]))
+            self.stops = stops > 0
+            at.losses = dict(zip(terms, means, strict=True))
 
     def _save_checkpoint(self) -> None:
         self.checkpoint.save(self.learner, self.progress, self.blocks.unfinished)

@@ -22,7 +22,7 @@ from motionkit.training.scheduled_sampling import (
     sampled_windows,
     take_windows,
 )
-from motionkit.training.window_loader import WindowLoader
+from motionkit.training.window_loader import StepLoader
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class WindowBlocks:
             FeatureSpace.of(sampler.dataset).to(device),
         )
         self._coming: list[Batch] = []
-        self._loader = WindowLoader(sampler, options.optimizer.batch, places)
+        self._loader = StepLoader(self._recorded, device.type != "cpu")
 
     def next(self, step: int, progress: float) -> Batch:
         """Return the batch of a step; progress is the finished share of the run."""
@@ -87,6 +87,8 @@ class WindowBlocks:
 
     def _begin(self, start: BlockStart) -> None:
         self.start, self.options = start, self.run.at(start.progress)
+        if self.options.sampler != self.sampler.options:
+            self._loader.close()  # its processes have a copy of the earlier sampler
         self.sampler.use(self.options.sampler)
         self._coming = self._make(range(start.step, self._end(start.step)))
 
@@ -100,7 +102,7 @@ class WindowBlocks:
         """Make the batches of some steps, with scheduled sampling in some windows."""
         options, places = self.options, self.places
         device = next(self.network.parameters()).device
-        batches = [batch.to(device) for batch in self._windows(steps, device)]
+        batches = [self._loader.next(step).to(device) for step in steps]
         fed = sampled_windows(places.start, len(places), options.scheduled_sampling.share)
         if not fed:
             return batches
@@ -117,9 +119,6 @@ class WindowBlocks:
             for k, batch in enumerate(batches)
         ]
 
-    def _windows(self, steps: range, device: torch.device) -> list[Batch]:
-        """Return the windows of some steps with recorded inputs; for a GPU other processes make them."""
-        if device.type != "cpu":
-            return [self._loader.next(step) for step in steps]
-        size, places = self.options.optimizer.batch, self.places
-        return [self.sampler.batch(step, size, places.start, len(places)) for step in steps]
+    def _recorded(self, step: int) -> Batch:
+        """Return the windows of a step with recorded inputs."""
+        return self.sampler.batch(step, self.run.optimizer.batch, self.places.start, len(self.places))

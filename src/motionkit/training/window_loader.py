@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import torch
 from torch import Tensor
@@ -13,53 +13,52 @@ from torch.utils.data import DataLoader, Dataset
 
 from motionkit.models.batch import Batch
 from motionkit.native import cores
-from motionkit.training.sampler import WindowSampler
 
 AHEAD = 2  # batches that each process makes in advance
 
 
-class WindowLoader:
-    """The batches of a sampler, step by step, or one process's share of their windows.
+class StepLoader:
+    """The batches of steps, made ahead by forked processes, which share the memory of the spliced transitions.
 
-    A window takes Python a millisecond, and a GPU trains on thousands a second. Forked processes share the memory of
-    the spliced transitions; without fork, batches are made in this process as they are needed.
+    A window takes Python a millisecond, and a GPU trains on thousands a second. Without fork, batches are made in this
+    process as they are needed.
     """
 
-    def __init__(self, sampler: WindowSampler, size: int, places: range) -> None:
+    def __init__(self, make: Callable[[int], Batch], ahead: bool = True) -> None:
         """Make no batch yet.
 
         Args:
-            size: windows of a whole batch.
-            places: the windows of the batch that this process needs.
+            make: returns the batch of a step.
+            ahead: whether to use processes.
         """
-        self.sampler, self.size, self.places = sampler, size, places
-        self._step, self._options = -1, sampler.options
+        self.make, self.ahead = make, ahead and "fork" in multiprocessing.get_all_start_methods()
+        self._step = -1
         self._coming: Iterator[dict[str, Tensor]] = iter(())
 
     def next(self, step: int) -> Batch:
-        """Return the windows of a step, with the sampler's present options."""
-        options = self.sampler.options
-        if step != self._step or options != self._options:  # the processes have a copy of the earlier sampler
-            self._options, self._coming = options, self._begin(step)
+        """Return the batch of a step."""
+        if not self.ahead:
+            return self.make(step)
+        if step != self._step:
+            self._coming = self._begin(step)
         self._step = step + 1
         return Batch(**next(self._coming))
 
     def close(self) -> None:
-        """End the processes."""
+        """End the processes; the next batch is made anew."""
         self._step, self._coming = -1, iter(())
 
     def _begin(self, step: int) -> Iterator[dict[str, Tensor]]:
-        forks = "fork" in multiprocessing.get_all_start_methods()
-        count = max(1, cores() - 1) if forks else 0
         loader = DataLoader(
-            _Steps(self.sampler, self.size, self.places),
+            _Steps(self.make),
             batch_size=None,
             sampler=itertools.count(step),
-            num_workers=count,
-            multiprocessing_context="fork" if forks else None,
-            prefetch_factor=AHEAD if forks else None,
+            num_workers=max(1, cores() - 1),
+            multiprocessing_context="fork",
+            prefetch_factor=AHEAD,
             pin_memory=torch.cuda.is_available(),
             worker_init_fn=_leave_signals,
+            generator=torch.Generator(),  # the run's own random state stays
         )
         return iter(loader)
 
@@ -67,11 +66,11 @@ class WindowLoader:
 class _Steps(Dataset[dict[str, Tensor]]):
     """Batches by step."""
 
-    def __init__(self, sampler: WindowSampler, size: int, places: range) -> None:
-        self.sampler, self.size, self.places = sampler, size, places
+    def __init__(self, make: Callable[[int], Batch]) -> None:
+        self.make = make
 
     def __getitem__(self, step: int) -> dict[str, Tensor]:
-        return vars(self.sampler.batch(step, self.size, self.places.start, len(self.places)))
+        return vars(self.make(step))
 
 
 def _leave_signals(_: int) -> None:

@@ -145,7 +145,10 @@ def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) 
     human = _Human(motion.skeleton.names, rig, pose)
     if human.size == 0.0:  # all sizes depend on the leg length
         return _bony(motion, _rest(motion, drawn))
-    return _human_body(human, step)
+    try:
+        return _human_body(human, step)
+    except SkeletonError:  # proportions of no human
+        return _bony(motion, _rest(motion, drawn))
 
 
 def check_bones(motion: Motion) -> None:
@@ -347,7 +350,7 @@ class _Human:
         joints = [top] if end is None else self.path(top, end)[:-1]
         start, stop = self.pose.places[top], self.limb_end(side, part, below)
         along = stop - start
-        shares = [float((self.pose.places[j] - start) @ along / (along @ along)) for j in joints]
+        shares = [float((self.pose.places[j] - start) @ along / max(along @ along, 1e-12)) for j in joints]
         chain = [(0.0, bends[0], top)]
         chain += [(share, 0.1, joint) for share, joint in zip(shares[1:], joints[1:], strict=True)]
         if end is not None:
@@ -441,7 +444,7 @@ class _Human:
         way = top - base
         chain = [(0.12, 0.2, neck)]
         for joint in above:
-            share = float((self.pose.places[joint] - base) @ way / (way @ way))
+            share = float((self.pose.places[joint] - base) @ way / max(way @ way, 1e-12))
             chain.append((float(np.clip(share, 0.25, 0.9)), 0.16, joint))
         throat = (TINTS.index("body"), ((0.2, 0.05, TINTS.index("head")),))
         self._piece([base, top], _NECK, (self.chest, chain), throat)

@@ -175,8 +175,12 @@ def write_contact_sheet(
     if Path(path).suffix.lower() != ".png":
         raise MotionkitError(f"{path}: a contact sheet is a .png file, found {Path(path).suffix!r}")
     picture = contact_sheet(motions, poses, width, every)
+    from PIL.PngImagePlugin import PngInfo
+
+    facts = PngInfo()
+    facts.add_text("Software", "motionkit")
     with atomic_write(path, "wb") as file:
-        picture.save(file, format="PNG")
+        picture.save(file, format="PNG", pnginfo=facts)
 
 
 def _pose_rows(poses: int) -> int:
@@ -326,7 +330,7 @@ def _draw_path(
     if len(root) > 1:
         canvas.text(root[-1][0] + 8, root[-1][1] + 4, "end", ROOT_COLOR, size=11)
     bar = _round_length(0.4 * (box.width - 40) / scale * cm) / cm
-    words = f"{bar * cm / 100:g} m" if figure.unit()[0] != "units" else f"{bar:g} units"
+    words = f"{bar * cm / 100:g} m"
     y = box.top + box.height - 12
     canvas.line([(box.left + 10, y), (box.left + 10 + bar * scale, y)], INK, 2.0)
     canvas.text(box.left + 16 + bar * scale, y, words, size=11, anchor="lm")
@@ -362,9 +366,8 @@ def _draw_heights(
     def y_of(height: NDArray[np.float64] | float) -> Any:
         return plot.top + plot.height * (1 - (height - low) / (high - low))
 
-    shown = "cm" if unit != "units" else "units"
-    floor = "floor = 0" if figure.floor_is_zero else f"floor = lowest, {figure.floor * cm:.0f} {shown}"
-    canvas.text(box.left, box.top, f"heights in {shown}, {floor}:", FAINT, size=11)
+    floor = "floor = 0" if figure.floor_is_zero else f"floor = lowest, {figure.floor * cm:.0f} cm"
+    canvas.text(box.left, box.top, f"heights in cm, {floor}:", FAINT, size=11)
     canvas.text(box.left + 190, box.top, "root", ROOT_COLOR, size=11)
     for n, (name, _) in enumerate(named):
         canvas.text(

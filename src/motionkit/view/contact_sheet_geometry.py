@@ -12,7 +12,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
 from motionkit.rig.sides import joint_sides
-from motionkit.rig.units import likely_unit, rig_places, stature
+from motionkit.rig.units import motion_unit, rig_places, stature, unit_symbol
 from motionkit.rig.up_axis import up_axis, up_turn
 
 Array = NDArray[np.float64]
@@ -41,6 +41,7 @@ class Figure:
         floor_is_zero: whether the floor is at zero; else it is at the lowest point of the body.
         facing: (T,) heading in the ground plane in radians, atan2 of axis 2 and axis 0.
         stature: estimated standing height, in the motion's unit.
+        cm: cm per unit.
         fps: frames per second.
     """
 
@@ -54,6 +55,7 @@ class Figure:
     floor_is_zero: bool
     facing: Array
     stature: float
+    cm: float
     fps: float
 
     @property
@@ -62,9 +64,8 @@ class Figure:
         return self.positions[:, self.hips]
 
     def unit(self) -> tuple[str, float]:
-        """The likely unit, judged by stature: its symbol and its length in cm; ("units", 1.0) if none fits."""
-        unit = likely_unit(self.stature)
-        return ("units", 1.0) if unit is None else (unit.symbol, unit.cm)
+        """The motion's unit: its symbol and its length in cm."""
+        return unit_symbol(self.cm), self.cm
 
 
 def motion_figure(motion: Motion) -> Figure:
@@ -100,6 +101,7 @@ def motion_figure(motion: Motion) -> Figure:
         floor_is_zero,
         _facing(points, sides),
         size,
+        motion_unit(motion)[0],
         motion.fps,
     )
 

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.errors import SkeletonError
 from motionkit.view.isosurface import isosurface, neighbour_mean
 from motionkit.view.surface import TINTS, Array, Surface, cross_axes, unit
 
@@ -24,6 +25,7 @@ DYE = 0.009  # m, the same for tints
 SMOOTHINGS = 4  # passes that average the weights over neighbouring points
 INFLUENCES = 4  # most joints per point
 MAX_CELLS = 2_000_000  # most grid cells; a rig with very short legs for its body gets a coarser grid
+COARSEST = 0.05  # m, largest grid step for a body of default size; a thigh is 0.16 thick
 _SAMPLES = 48  # points per profile
 Chain = Sequence[tuple[float, float, int]]
 
@@ -141,9 +143,12 @@ def skin(pieces: Sequence[Piece], axes: Array, size: float, joint_count: int, st
         size: size of the body; 1 is the default size.
         joint_count: number of joints of the skeleton.
         step: approximate edge length of the mesh for a body of default size, m.
+
+    Raises:
+        SkeletonError: a bone is so long beside the legs that a grid around the body would be too coarse for limbs.
     """
     step *= size
-    points, triangles, slopes = _net(pieces, axes, step, BLEND * size)
+    points, triangles, slopes = _net(pieces, axes, step, size)
     for _ in range(2):  # even out the points, then project them onto the skin
         points = 0.5 * (points + neighbour_mean(triangles, points))
         values = _soft_minimum(np.stack([piece.distances(points) for piece in pieces], axis=1), BLEND * size)
@@ -179,14 +184,17 @@ def _blended(
 
 
 def _net(
-    pieces: Sequence[Piece], axes: Array, step: float, blend: float
+    pieces: Sequence[Piece], axes: Array, step: float, size: float
 ) -> tuple[Array, NDArray[np.int64], Callable[[Array], Array]]:
     """Points, triangles, and a function for the field's unit gradient at points."""
+    blend = BLEND * size
     margin = 5 * blend
     # Boxes are aligned with the body's axes, so that the grid is symmetric.
     boxes = [_turned_box(piece, axes, margin) for piece in pieces]
     low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
     step = max(step, float((np.prod(high - low) / MAX_CELLS) ** (1 / 3)))
+    if step > COARSEST * size:
+        raise SkeletonError(f"a body of {np.max(high - low):.4g} m is too large for its legs")
     middle = axes @ pieces[0].path[0]
     counts = np.ceil((high - low) / step).astype(int) + 3
     origin = np.floor((low - middle) / step - 1) * step + middle + 0.5 * step

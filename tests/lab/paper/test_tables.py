@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from motionkit.errors import MotionkitError
+from motionkit.lab.paper import model_results
 from motionkit.lab.paper.claims import CLAIMS, claims_table
 from motionkit.lab.paper.model_results import read_scenes
 from motionkit.lab.paper.page import Extras, page, tables_page, tables_path, write_page
@@ -491,3 +492,31 @@ def test_the_page_says_what_more_training_does() -> None:
     assert "by training" not in page(few)
     floor = result("last frame", "floors", 0, 1.0) | {"parameters": 0, "folder": "all/cpu", "data": "all"}
     assert "No network has been trained in `all/cpu` yet." in tables_page([*few, floor])
+
+
+@pytest.mark.parametrize("kind", ["long", "bodies", "scenes"])
+def test_results_of_one_model_are_checked_by_form(kind: str, tmp_path: Path) -> None:
+    """With any field of another type or too large they are refused in one line."""
+    read = getattr(model_results, f"read_{kind}")
+    committed = Path(__file__).parents[3] / "experiments" / kind
+    assert len(read(committed)) == len(list(committed.glob("*.json")))
+    whole = json.loads(next(iter(sorted(committed.glob("*.json")))).read_text())
+    (listed,) = (key for key in ("rollouts", "performers", "scenes") if key in whole)
+    used = set(getattr(model_results, {"scenes": "OF_SCENES"}.get(kind, kind.upper()))[listed][0])
+    for field in [None, *used]:
+        for value in (None, 1, [], "x", {}, [None], True, 1e300, [1e300]):
+            changed = json.loads(json.dumps(whole))
+            if field is None:
+                changed[listed] = value
+            else:
+                changed[listed][0][field] = value
+            (tmp_path / "one.json").write_text(json.dumps(changed))
+            try:
+                found = tuple(read(tmp_path))
+            except MotionkitError as error:
+                assert str(error).startswith(
+                    f"{tmp_path / 'one.json'}: not the results of"
+                ) and "\n" not in str(error)
+            else:
+                page(RESULTS, Extras(**{kind: found}), tmp_path / "page.md")
+                tables_page(RESULTS, Extras(**{kind: found}), tmp_path / "page.md")

@@ -6,7 +6,7 @@ import { RUN_SPEED, TRAJECTORY, WALK_SPEED, stands, steeredType, turned } from "
 
 const SPACING = 2; // cm between points of a path
 const [AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [60, 20, 130, 10, 8]; // cm searched ahead for the nearest point; cm/s at least, by default and at stops; cm before a stop
-const [SHARP, TURN_SPEED, BESIDE_TURN] = [-0.8, 30, 3]; // cosine of a sharp turn; cm/s in it; points on either side that show it
+const BESIDE_TURN = 8; // points to both sides between which a turn is measured
 const TOO_SLOW = 0.99; // share of a run's slowest recorded speed, below which the body walks
 const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5]; // cm/s² of a body; frames of a change of type; samples of its weights; frames per step of the prediction
 
@@ -136,14 +136,17 @@ export class Follower {
 
   // The speed at each point; limited by the acceleration of bodies, also before stops.
   #profile(speed) {
-    const { known: { gait, speeds: recorded }, path } = this;
+    const { known: { gait, lateral, speeds: recorded }, path: { points, tangents } } = this;
     let asked = Math.max(SLOWEST, speed ?? gait?.speed ?? DEFAULT_SPEED);
     if (recorded && speed !== null) asked = Math.min(Math.max(asked, recorded[0]), recorded[1]); // outside its recorded speeds, a gait slides
-    const speeds = path.points.map((_, n) => {
-      const [a, b] = [path.tangents[n - BESIDE_TURN], path.tangents[n + BESIDE_TURN]];
-      return a && b && a[0] * b[0] + a[1] * b[1] < SHARP ? Math.min(asked, TURN_SPEED) : asked;
+    // The speed at which a body leans into the turn as far as recorded ones.
+    const speeds = points.map((_, n) => {
+      const [first, last] = [Math.max(n - BESIDE_TURN, 0), Math.min(n + BESIDE_TURN, points.length - 1)];
+      const [a, b] = [tangents[first], tangents[last]];
+      const turn = Math.acos(Math.min(Math.max(a[0] * b[0] + a[1] * b[1], -1), 1));
+      return Math.min(asked, Math.sqrt((lateral * (last - first) * SPACING) / Math.max(turn, 1e-6)));
     });
-    for (const [place] of this.stops) speeds[path.nearest(place)] = CREEP;
+    for (const [place] of this.stops) speeds[this.path.nearest(place)] = CREEP;
     // At constant acceleration the square of speed changes evenly, so its difference between neighbours is limited.
     const rise = 2 * ACCELERATION * SPACING;
     const squares = speeds.map((each) => each * each);

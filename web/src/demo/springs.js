@@ -11,6 +11,10 @@ export const [RUN_SPEED, WALK_SPEED] = [200, 130]; // cm/s; gaits above RUN_SPEE
 const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR, SETTLED_WITHIN] = [3, 0.2, 0.2, 60, 0.08];
 const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02]; // s, for velocity, heading and position; weight of the body in the spring per frame
 
+// Most turning speed in radians/s; least share of the speed of a body that turns back; largest angle in radians between
+// velocity and facing while a walk turns.
+const [TURN_SPEED, TURN_SHARE, TURN_ASIDE] = [4, 0.5, Math.PI / 4];
+
 /** The equivalent angle between -pi and pi. */
 export function nearestTurn(angle) {
   return angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
@@ -103,6 +107,7 @@ export class Springs {
   trajectory(velocity, facing) {
     const [x, z, heading] = this.before;
     const stands = Math.hypot(...velocity) < STANDS_BELOW;
+    if (facing !== null) [velocity, facing] = this.#turning(velocity, facing);
     const goal = stands ? [0, 0] : velocity;
     const anchor = stands ? this.#hold(x, z) : null;
     if (!stands) this.anchor = null;
@@ -120,6 +125,15 @@ export class Springs {
     if (speed < STANDS_BELOW) return 1;
     const along = (this.velocity[0] * velocity[0] + this.velocity[1] * velocity[1]) / speed;
     return Math.min(1, Math.max(0, 1 - (1 - along / speed) / SETTLED_WITHIN));
+  }
+
+  // The velocity and facing to approach: a body turns about where it faces, and slows down to turn back.
+  #turning(velocity, facing) {
+    const off = nearestTurn(facing - this.facing[0]);
+    const most = (TURN_SPEED * Math.E) / rate(TURN_HALFLIFE); // from rest, a spring at distance d turns by up to d rate / e
+    const share = Math.min(Math.max(1 + Math.cos(off), TURN_SHARE), 1);
+    const beyond = Math.max(Math.abs(off) - (Math.hypot(...velocity) > RUN_SPEED ? 0 : TURN_ASIDE), 0);
+    return [turned(-Math.sign(off) * beyond, ...velocity).map((value) => share * value), this.facing[0] + Math.min(Math.max(off, -most), most)];
   }
 
   // The position and heading to hold, once the spring has nearly stopped; null before.

@@ -13,6 +13,7 @@ import torch
 from motionkit.errors import MotionkitError
 from motionkit.features.control import ControlLayout
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.files import atomic_write
 from motionkit.lab.paper.tables import Results, figure_of, in_folder, named, names_of
 from motionkit.lab.paper.variants import variant
 from motionkit.models.architectures import build
@@ -37,7 +38,6 @@ class Series:
 
 def write_figures(results: Results, folder: Path) -> list[Path]:
     """Draw all figures of every data set and budget into a folder. Raises MotionkitError without Pillow."""
-    folder.mkdir(parents=True, exist_ok=True)
     out = []
     for name in sorted({result["folder"] for result in results}):
         here = in_folder(results, name)
@@ -128,7 +128,8 @@ def _chart(path: Path, title: str, axes: tuple[str, str], series: Sequence[Serie
         y = TOP + 20 * number
         draw.rectangle((WIDTH - RIGHT + 20, y + 4, WIDTH - RIGHT + 32, y + 16), fill=colour)
         draw.text((WIDTH - RIGHT + 40, y), each.name, fill="black", font_size=15)
-    image.save(path)
+    with atomic_write(path, "wb") as file:
+        image.save(file, format="PNG")
     return path
 
 

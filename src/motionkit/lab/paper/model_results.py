@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.files import read_json
+from motionkit.lab.paper.bodies import MEASURES
 from motionkit.lab.paper.datasets import SELECTIONS
 from motionkit.lab.paper.scenes import SCENES
 from motionkit.lab.paper.variants import GROUPS, VARIANTS
@@ -17,9 +17,10 @@ from motionkit.version import __version__
 Results = list[dict[str, Any]]
 SHIPPED_GROUP = "shipped"  # of results that are no variant's
 
-# What a field holds: a class (float takes whole numbers too, no class takes true), [shape] for a list of them,
+# What a field holds: a class (float takes whole numbers too, only bool takes true), [shape] for a list of them,
 # {name: shape} for an object with at least these fields, {...: shape} for one with any names, (shape, None) for a value
 # that may be null.
+LARGEST = 1e20  # number in a result, so that sums and squares stay finite
 Shape = Any
 NUMBER_OR_NULL = (float, None)
 MEANS: Shape = {...: [NUMBER_OR_NULL]}  # metric to [made, recorded]
@@ -50,8 +51,44 @@ HELD_OUT: Shape = {
     "open-loop": {"mean": ERRORS, "sample": ERRORS},
     "bm": ERRORS,
 }
+# Of one model, which the page is written from.
+MODEL: Shape = {"model": str, "steps": (int, None)}
+LONG: Shape = {
+    "rollouts": [
+        {
+            **{
+                "type": str,
+                "seed": int,
+                "holds": bool,
+                "distance": [float],
+                "swing": [float],
+                "speed": [float],
+            },
+            **{f"{name}-recorded": float for name in ("distance", "swing", "speed")},
+            "speed-fastest": float,
+        }
+    ]
+}
+BODIES: Shape = {
+    "type": str,
+    "seeds": int,
+    "performers": [{"performer": str, **dict.fromkeys(("recorded", "made"), dict.fromkeys(MEASURES, float))}],
+}
+OF_SCENES: Shape = {
+    "scenes": [
+        {**dict.fromkeys(("figure", "name", "text"), str), "distances": [float], "finished": int}
+        | {"paper": NUMBER_OR_NULL}
+    ]
+}
 MADE: Shape = {"training": str, "test": str, "version": str}
-WORDS = {dict: "an object", list: "a list", str: "a text", int: "a whole number", float: "a number"}
+WORDS = {
+    dict: "an object",
+    list: "a list",
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+}
 
 
 def made_from(dataset: Dataset) -> dict[str, str]:
@@ -102,8 +139,10 @@ def _check(value: Any, shape: Shape, where: str) -> None:
         shape = shape[0]
     plain = dict if isinstance(shape, dict) else list if isinstance(shape, list) else shape
     wanted: Any = (int, float) if plain is float else plain
-    if not isinstance(value, wanted) or isinstance(value, bool):
+    if not isinstance(value, wanted) or isinstance(value, bool) != (plain is bool):
         raise MotionkitError(f"{where or 'the whole'} is {value!r:.40}, expected {WORDS[plain]}")
+    if isinstance(value, (int, float)) and abs(value) > LARGEST:
+        raise MotionkitError(f"{where} is {value!r:.40}, expected at most {LARGEST:g}")
     if isinstance(shape, dict):
         for key, one in shape.items():
             if key is not ... and key not in value:
@@ -117,28 +156,32 @@ def _check(value: Any, shape: Shape, where: str) -> None:
 
 def read_long(folder: Path) -> Results:
     """Return the long roll-outs of all models in a folder. Raises MotionkitError for a file that holds none."""
-    return _read(folder, "long roll-outs", lambda result: isinstance(result.get("rollouts"), list))
+    return _read(folder, "long roll-outs", LONG)
 
 
 def read_bodies(folder: Path) -> Results:
     """Return what all models in a folder make of bodies. Raises MotionkitError for a file without."""
-    return _read(folder, "bodies", lambda result: isinstance(result.get("performers"), list))
+    return _read(folder, "bodies", BODIES)
 
 
 def read_scenes(folder: Path) -> Results:
     """Return the scenes of all models in a folder. Raises MotionkitError for a file that lacks some."""
-    names = [scene.name for scene in SCENES]
-    return _read(
-        folder, "all scenes", lambda result: [s.get("name") for s in result.get("scenes", [])] == names
-    )
+    return _read(folder, "all scenes", OF_SCENES)
 
 
-def _read(folder: Path, what: str, complete: Callable[[dict[str, Any]], bool]) -> Results:
-    """The JSON objects of a folder, the shipped model's first, once each is complete."""
+def _read(folder: Path, what: str, shape: Shape) -> Results:
+    """The JSON objects of a folder, the shipped model's first, once each has all that the page takes from it."""
     out = []
+    names = [scene.name for scene in SCENES]
     for path in sorted(folder.glob("*.json"), key=lambda p: (p.stem != "shipped", p.stem)):
         result = read_json(path, f"the results of {what}", MotionkitError)
-        if not isinstance(result, dict) or not complete(result):
-            raise MotionkitError(f"{path}: not the results of {what}; make them again")
+        try:
+            _check(result, MODEL | shape, "")
+            if not all(result[key] for key in shape if isinstance(shape[key], list)):
+                raise MotionkitError(f"{', '.join(shape)} is empty")
+            if "scenes" in shape and [scene["name"] for scene in result["scenes"]] != names:
+                raise MotionkitError("scenes are missing, or others")
+        except MotionkitError as error:
+            raise MotionkitError(f"{path}: not the results of {what} ({error}); make them again") from None
         out.append(result)
     return out

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motionkit.files import atomic_write
+from motionkit.files import write_together
 from motionkit.lab.paper.bodies import BODIES_HEADER, bodies_row, slopes
 from motionkit.lab.paper.claims import claims_table, counts
 from motionkit.lab.paper.findings import by_budget, findings
@@ -261,10 +261,8 @@ def _what_is_learnt(results: Results) -> list[str]:
 def write_page(
     results: Results, path: Path, latex_path: Path | None = None, extras: Extras | None = None
 ) -> None:
-    """Write the page, its tables beside it, and these in LaTeX if a path is given, each whole or not at all."""
-    for target, text in ((path, page), (tables_path(path), tables_page)):
-        with atomic_write(target, "w") as out:
-            out.write(text(results, extras, path))
+    """Write the page, its tables beside it, and these in LaTeX if a path is given, all whole or none."""
+    texts = {path: page(results, extras, path), tables_path(path): tables_page(results, extras, path)}
     if latex_path is not None:
-        with atomic_write(latex_path, "w") as out:
-            out.write("\n".join(latex(table) for table in tables(results)))
+        texts[latex_path] = "\n".join(latex(table) for table in tables(results))
+    write_together({target: text.encode() for target, text in texts.items()})

@@ -30,6 +30,7 @@ from motionkit.lab.paper.protocol import LONGEST, measure
 from motionkit.lab.paper.side_by_side import side_by_side
 from motionkit.lab.paper.variants import VARIANTS, Variant, chosen, parameters, variant
 from motionkit.lab.statistics import rounded
+from motionkit.locks import held
 from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
 from motionkit.models.network import parameter_count
@@ -210,25 +211,39 @@ def check_writable(plan: Plan) -> None:
 
 
 def run_one(
-    plan: Plan, each: Variant, seed: int, say: Callable[[str], None], progress: Callable[[float], None]
+    plan: Plan,
+    each: Variant,
+    seed: int,
+    say: Callable[[str], None],
+    progress: Callable[[float], None],
+    trained: bool = False,
 ) -> Path:
     """Do one run unless its result is there, and return its file.
 
+    Args:
+        trained: whether the model is there already, and only its test is missing.
+
     Raises:
         DatasetError: if the dataset does not fit.
-        MotionkitError: a result is there that is damaged, or of other data or other frames.
+        MotionkitError: a result is there that is damaged, or of other data or frames, or another process makes it.
     """
     file = result_file(plan, each, seed)
     dataset = select(plan.data, plan.selection)
     made = made_from(dataset)
-    if is_done(plan, each, seed, made):
-        return file
-    result = heading(plan, each, seed, made)
-    if each.preset:
-        result |= _trained(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
-    else:
-        result |= _floor(plan, each, dataset, progress)
-    write_json(file, result)
+    with held(file, "making this result") as notes:
+        for line in notes:
+            say(line)
+        if is_done(plan, each, seed, made):
+            return file
+        result = heading(plan, each, seed, made)
+        if each.preset:
+            torch.set_num_threads(1)  # sums in one order, so that a seed gives the same figures
+            if not trained:
+                _train(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
+            result |= result_of(plan, each, seed, dataset)
+        else:
+            result |= _floor(plan, each, dataset, progress)
+        write_json(file, result)
     progress(1.0)
     return file
 
@@ -270,18 +285,15 @@ def _quiet_run(plan: Plan, name: str, seed: int, progress: Callable[[float], Non
 # ---- one run ----
 
 
-def _trained(
+def _train(
     plan: Plan,
     each: Variant,
     seed: int,
     dataset: Dataset,
     say: Callable[[str], None],
     progress: Callable[[float], None],
-) -> dict[str, Any]:
-    torch.set_num_threads(1)  # sums in one order, so that a seed gives the same figures
-    options = options_of(plan, each, seed)
-    folder = plan.checkpoints / plan.folder
-    path = folder / f"{slug(each.name)}-{seed}.safetensors"
+) -> None:
+    options, path = options_of(plan, each, seed), model_file(plan, each, seed)
     checkpoint = path.with_suffix(".run") / "checkpoint.safetensors"
 
     stopping = False
@@ -297,17 +309,27 @@ def _trained(
     done = train(dataset, path, options, checkpoint.exists(), None, plan.device, on_event)
     if not done.finished:
         raise KeyboardInterrupt
-    model = load_model(path)
+
+
+def model_file(plan: Plan, each: Variant, seed: int) -> Path:
+    """Return where the model of a run is written, beside the folder of its log."""
+    return plan.checkpoints / plan.folder / f"{slug(each.name)}-{seed}.safetensors"
+
+
+def result_of(plan: Plan, each: Variant, seed: int, dataset: Dataset) -> dict[str, Any]:
+    """Test the model that a run has written, and return the fields of its result."""
+    path, options = model_file(plan, each, seed), options_of(plan, each, seed)
+    model, lines = load_model(path), _log(path.with_suffix(".run") / "log.jsonl")
     network = network_class(model.config.architecture).from_weights(model.network)
     network.to("cuda" if _on_gpu(plan.device) else "cpu")
     return {
-        "budget": budget_of(plan.budget, options, done.steps),
+        "budget": budget_of(plan.budget, options, plan.steps or lines[-1]["step"]),
         "parameters": parameter_count(network),
-        "losses": _final(path.with_suffix(".run") / "log.jsonl"),
-        "curve": _curve(path.with_suffix(".run") / "log.jsonl"),
+        "losses": _final(lines),
+        "curve": _curve(lines),
         **tested(plan, each, seed, dataset, network),
         **measured(dataset, result_file(plan, each, seed), plan.longest),
-        "timing": {"seconds": round(done.seconds, 1), "machine": machine(plan.device)},
+        "timing": {"seconds": round(lines[-1]["seconds"], 1), "machine": machine(plan.device)},
     }
 
 
@@ -408,17 +430,15 @@ def _log(path: Path) -> list[dict[str, Any]]:
     return list({line["step"]: line for line in lines if line["kind"] == "log"}.values())
 
 
-def _final(path: Path) -> dict[str, float]:
-    """Return the means of each loss over the last tenth of the log."""
-    lines = _log(path)
+def _final(lines: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Return the means of each loss over the last tenth of the lines of a log."""
     last = lines[-max(1, len(lines) // 10) :]
     names = [name for name in last[0] if name not in ("kind", "step", "seconds", "rate")]
     return {name: rounded(sum(line[name] for line in last) / len(last), 5) for name in names}
 
 
-def _curve(path: Path) -> list[list[float]]:
-    """Return [step, total loss] at up to CURVE_POINTS places, each the mean of the steps around it."""
-    lines = _log(path)
+def _curve(lines: Sequence[dict[str, Any]]) -> list[list[float]]:
+    """Return [step, total loss] at up to CURVE_POINTS places of a log, each the mean of the steps around it."""
     size = -(-len(lines) // CURVE_POINTS)
     parts = [lines[i : i + size] for i in range(0, len(lines), size)]
     return [[part[-1]["step"], rounded(sum(line["total"] for line in part) / len(part), 5)] for part in parts]

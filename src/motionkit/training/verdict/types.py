@@ -168,6 +168,8 @@ def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings) -> str:
     """The verdicts as Markdown, for someone who has not measured motion before."""
     works = sum(verdict.works for verdict in verdicts)
     lines = [
+        "<!-- written by motionkit quickstart -->",
+        "",
         "# Which types work",
         "",
         f"{works} of {len(verdicts)} types work.",

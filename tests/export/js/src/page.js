@@ -21,7 +21,7 @@ let mixer, scene, vrm, root;
 async function open(file, avatar) {
   scene = new Scene();
   const gltf = await load(file);
-  let clip = gltf.animations[0];
+  let clip = gltf.animations.at(-1); // what was added to a user's file
   vrm = null;
   if (avatar) {
     vrm = (await load(avatar)).userData.vrm;

@@ -1,0 +1,278 @@
+"""Ten minutes of one GPU: the networks of the laboratory and the bundled recipe, on data packed small.
+
+    python benchmarks/gpu_job.py pack datasets/paper datasets/free -o job      # on a machine with the datasets
+    python benchmarks/gpu_job.py times job                                     # two minutes: is all as expected?
+    python benchmarks/gpu_job.py laboratory job D_L --minutes 1.5              # trains the networks of the paper
+    python benchmarks/gpu_job.py laboratory job all-mirrored --minutes 1.5
+    python benchmarks/gpu_job.py bundled job --minutes 4                       # the recipe that ships
+    python benchmarks/gpu_job.py tests job                                     # tests the networks of the paper
+
+A packed dataset holds rotations in 16 bits and the path of the root; features are computed from them again, to within
+a thousandth of their deviation. Results are job/results and job/bundled.safetensors.
+--device cpu rehearses everything. Eleven processes of tests on the same GPU made a training fifteen times slower.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import lzma
+import multiprocessing
+import os
+import shutil
+import time
+import traceback
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from common import print_table
+
+from motionkit.data.dataset import Clip, Dataset
+from motionkit.features.encode import encode_motion
+from motionkit.lab.paper.datasets import select
+from motionkit.lab.paper.runs import Plan, options_of, run_one
+from motionkit.lab.paper.together import stack, train_all, train_together
+from motionkit.lab.paper.variants import VARIANTS, variant
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import expmap_to_quat, quat_to_expmap
+from motionkit.training.options import with_changes
+from motionkit.training.presets import train_options
+from motionkit.training.report import TrainEvent
+from motionkit.training.trainer import TrainingRun, train
+
+STEPS_OF_ROTATION = 1e-4  # radians
+SMALL = ("contacts", "ground", "types", "phases")
+PACKED = "features.xz"
+PAPER_NETWORKS = [each.name for each in VARIANTS if each.preset == "tptn-paper"]
+
+
+def pack(folder: Path, output: Path) -> None:
+    """Write a dataset folder without its features, from which they can be computed again."""
+    dataset = Dataset(folder)
+    output.mkdir(parents=True)
+    for name in (*SMALL, "manifest"):
+        suffix = ".json" if name == "manifest" else ".npy"
+        shutil.copy(folder / f"{name}{suffix}", output)
+    rows = max(clip.start + clip.frames for clip in dataset.clips)
+    turns = np.zeros((rows, 23, 3), np.int16)
+    heights = np.zeros((rows, 1), np.int16)
+    for clip in _recorded(dataset):
+        motion = dataset.motion(clip, dataset.read(clip))
+        span = slice(clip.start, clip.start + clip.frames)
+        turns[span] = np.round(quat_to_expmap(motion.local_rotations) / STEPS_OF_ROTATION)
+        heights[span] = np.round(motion.root_positions[:, 1:2] * 100.0)
+    columns = np.concatenate([turns.reshape(rows, -1), heights], axis=1)
+    steps = np.diff(columns, axis=0, prepend=columns[:1] * 0).astype(np.int16).T.copy()
+    # High and low bytes apart, column by column: most of the high ones are alike.
+    shuffled = steps.view(np.uint8).reshape(*steps.shape, 2).transpose(0, 2, 1).tobytes()
+    (output / PACKED).write_bytes(lzma.compress(shuffled, preset=6))
+
+
+def unpack(folder: Path, output: Path) -> Path:
+    """Write the dataset folder of a packed one, and return it; what is there is kept."""
+    if output.exists():
+        return output
+    part = output.with_name(f".{output.name}")
+    shutil.copytree(folder, part, dirs_exist_ok=True)
+    facts = json.loads((folder / "manifest.json").read_text("utf-8"))
+    rows = len(np.load(folder / "types.npy"))
+    np.save(part / "features.npy", np.zeros((rows, 276), np.float32))
+    dataset = Dataset(part)
+    raw = np.frombuffer(lzma.decompress((folder / PACKED).read_bytes()), np.uint8)
+    steps = raw.reshape(-1, 2, rows).transpose(0, 2, 1).copy().view(np.int16)[..., 0]
+    columns = np.cumsum(steps, axis=1, dtype=np.int16).T.astype(np.float32)
+    ground = np.load(folder / "ground.npy")
+    features = np.zeros((rows, 276), np.float32)
+    for clip in _recorded(dataset):
+        span = slice(clip.start, clip.start + clip.frames)
+        turns = columns[span, :-1].reshape(clip.frames, 23, 3) * STEPS_OF_ROTATION
+        places = np.stack([ground[span, 0], columns[span, -1] / 100.0, ground[span, 1]], axis=1)
+        motion = Motion(
+            dataset.skeleton(clip), expmap_to_quat(turns), places.astype(np.float32), facts["fps"]
+        )
+        encoded = encode_motion(motion, dataset.reference_rotations, dataset.layout.version, ground[span, 2])
+        features[span] = encoded.features
+    np.save(part / "features.npy", features)
+    (part / PACKED).unlink()
+    os.replace(part, output)
+    return output
+
+
+def _recorded(dataset: Dataset) -> list[Clip]:
+    return [clip for clip in dataset.clips if not clip.mirrored]
+
+
+# ---- what runs on the GPU ----
+
+
+def times(job: Path, arguments: argparse.Namespace) -> None:
+    """Print milliseconds of a step: the bundled recipe alone, and the laboratory's networks side by side."""
+    device = torch.device(arguments.device)
+    options = train_options(
+        "tptn",
+        steps=10_000,
+        batch=32,
+        splices=50,
+        stages=(),
+        score_seconds=0.0,
+        precision=arguments.precision,
+    )
+    run = TrainingRun(
+        Dataset(unpack(job / "free", job / "unpacked-free")),
+        job / "m.safetensors",
+        options,
+        device=str(device),
+    )
+    run.sampler.make_splices()
+    run.learner.module.train()
+    block = [run.blocks.next(step, 0.0) for step in range(16)]
+    rows = []
+    for name, work in (
+        ("a block of 16 batches", lambda: [run.blocks.next(16 + step, 0.0) for step in range(16)]),
+        ("16 steps", lambda: [run.learner.step(each, run.blocks.options, run.progress) for each in block]),
+    ):
+        work()
+        rows.append([f"bundled recipe, 32 x 96: {name}", f"{_seconds(work, device, 4) / 16 * 1e3:.2f}"])
+        print(rows[-1], flush=True)
+    run.blocks.close()
+    sets = [[name] for name in arguments.alone]
+    works = [(names, arguments.batches[0]) for names in sets]
+    for names, batch in works + [(arguments.names, batch) for batch in arguments.batches]:
+        try:
+            seconds = _together(job, arguments, names, batch, arguments.steps)
+        except RuntimeError as error:
+            traceback.print_exc(limit=-4)
+            print(f"{', '.join(names)}: {error}", flush=True)
+            continue
+        what = ", ".join(names) if len(names) == 1 else f"{len(names)} networks"
+        what = f"{what}, {arguments.seeds} seeds, {batch} windows each"
+        rows.append([what, f"{2e3 * seconds / arguments.steps:.2f}"])
+        print(rows[-1], flush=True)
+    print_table(f"ms per step, {_machine(device)}", ["what", "ms"], rows)
+
+
+def _seconds(work: Any, device: torch.device, repeats: int) -> float:
+    began = time.perf_counter()
+    for _ in range(repeats):
+        work()
+    if device.type == "cuda":
+        torch.cuda.synchronize()
+    return (time.perf_counter() - began) / repeats
+
+
+def _machine(device: torch.device) -> str:
+    return torch.cuda.get_device_name() if device.type == "cuda" else "CPU"
+
+
+def _together(
+    job: Path, arguments: argparse.Namespace, names: Sequence[str], batch: int, steps: int
+) -> float:
+    """Train networks side by side, and return the seconds of the second half of their steps."""
+    device = torch.device(arguments.device)
+    dataset = select(unpack(job / "paper", job / "unpacked-paper"), "D_L")
+    stacks = []
+    for each in map(variant, names):
+        options = options_of(Plan(job, budget="long", steps=steps), each, 0)
+        options = with_changes(options, {"batch": batch, "precision": arguments.precision})
+        stacks.append(stack(dataset, [replace(options, seed=i) for i in range(arguments.seeds)], device))
+    ticks = {0.0: time.perf_counter()}
+
+    def progress(share: float) -> None:
+        ticks[share] = time.perf_counter()
+
+    train_together(dataset, stacks, device, progress)
+    return ticks[1.0] - ticks[0.5]
+
+
+def laboratory(job: Path, arguments: argparse.Namespace) -> None:
+    """Train the paper's networks with all seeds together, and note what is to be tested."""
+    plan = _plan(job, arguments.selection, arguments.device)
+    tasks = [(variant(name), seed) for seed in range(arguments.seeds) for name in arguments.names]
+    made = train_all(plan, tasks, print, lambda share: None, arguments.minutes)
+    facts = {"selection": made.selection, "steps": made.steps, "tasks": [[v.name, seed] for v, seed in tasks]}
+    with (job / "trained.jsonl").open("a", encoding="utf-8") as file:
+        file.write(json.dumps(facts) + "\n")
+    print(f"{made.folder}: {made.steps} steps in {arguments.minutes} minutes", flush=True)
+
+
+def _plan(job: Path, selection: str, device: str, steps: int | None = None) -> Plan:
+    data = unpack(job / "paper", job / "unpacked-paper")
+    return Plan(data, selection, "long", steps, job / "results", job / "models", 120, device)
+
+
+def tests(job: Path, arguments: argparse.Namespace) -> None:
+    """Test all that the laboratory has trained, in processes of their own."""
+    lines = [json.loads(line) for line in (job / "trained.jsonl").read_text("utf-8").splitlines()]
+    works = [
+        (_plan(job, line["selection"], arguments.device, line["steps"]), name, seed)
+        for line in lines
+        for name, seed in line["tasks"]
+    ]
+    with ProcessPoolExecutor(arguments.jobs, multiprocessing.get_context("spawn")) as pool:
+        made = [pool.submit(_tested, *work) for work in works]
+        for number, each in enumerate(as_completed(made), 1):
+            fault = each.exception()
+            print(f"{number} of {len(works)}: {fault or each.result()}", flush=True)
+
+
+def _tested(plan: Plan, name: str, seed: int) -> Path:
+    return run_one(plan, variant(name), seed, lambda text: None, lambda share: None, trained=True)
+
+
+def bundled(job: Path, arguments: argparse.Namespace) -> None:
+    """Train the bundled recipe from random weights; `calibrate` on any machine finishes the model."""
+    options = train_options(
+        "tptn",
+        minutes=arguments.minutes,
+        batch=arguments.batch,
+        precision=arguments.precision,
+        score_seconds=0.0,
+        checkpoint_seconds=1e9,
+        log_every=50,
+    )
+
+    def said(event: TrainEvent) -> None:
+        if event.kind == "note" or (event.kind == "log" and event.step % 1000 == 0):
+            print(event.kind, event.step, round(event.seconds), event.text or event.losses, flush=True)
+
+    data = unpack(job / "free", job / "unpacked-free")
+    train(data, job / "bundled.safetensors", options, device=arguments.device, on_event=said)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    packing = commands.add_parser("pack")
+    packing.add_argument("paper", type=Path)
+    packing.add_argument("free", type=Path)
+    packing.add_argument("-o", "--output", type=Path, required=True)
+    made = {name: commands.add_parser(name) for name in ("times", "laboratory", "tests", "bundled")}
+    for each in made.values():
+        each.add_argument("job", type=Path)
+        each.add_argument("--device", default="cuda")
+        each.add_argument("--precision", default="float32")
+        each.add_argument("--seeds", type=int, default=5)
+        each.add_argument("--names", nargs="+", default=PAPER_NETWORKS)
+    made["times"].add_argument("--steps", type=int, default=40)
+    made["times"].add_argument("--batches", type=int, nargs="+", default=[4])
+    made["times"].add_argument("--alone", nargs="+", default=["TPTN"], help="networks to time alone")
+    made["laboratory"].add_argument("selection")
+    made["tests"].add_argument("--jobs", type=int, default=12)
+    made["bundled"].add_argument("--batch", type=int, default=32)
+    for name in ("laboratory", "bundled"):
+        made[name].add_argument("--minutes", type=float, required=True)
+    arguments = parser.parse_args()
+    if arguments.command == "pack":
+        pack(arguments.paper, arguments.output / "paper")
+        pack(arguments.free, arguments.output / "free")
+    else:
+        globals()[arguments.command](arguments.job, arguments)
+
+
+if __name__ == "__main__":
+    main()

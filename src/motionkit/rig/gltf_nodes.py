@@ -1,0 +1,162 @@
+"""The nodes of a glTF file: their tree, names and rest transforms, and which of them are the joints of a character."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from motionkit.arrays import Doubles
+from motionkit.motion.bvh_text import MAX_JOINTS, MAX_NAME
+from motionkit.motion.rotations import quat_to_matrix
+from motionkit.names import joint_names, visible
+from motionkit.rig.gltf import GltfFile
+
+# VRM names of limb bones and their canonical joints, without the side. Spine and collars are found between the limbs.
+_VRM_LIMBS = {
+    "UpperLeg": "UpLeg", "LowerLeg": "Leg", "Foot": "Foot", "Toes": "ToeBase",
+    "UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand",
+}  # fmt: skip
+
+
+class GltfNodes:
+    """The nodes of a file: parents (-1 for none), an order with parents first, and local and global rest transforms."""
+
+    def __init__(self, file: GltfFile) -> None:
+        """Read the nodes; raises MotionkitError, naming the file, if they are no tree of valid transforms."""
+        self.file, self.fault = file, file.fault
+        self.nodes = file.items("nodes")
+        if not self.nodes:
+            raise self.fault("has no nodes, expected a rigged character")
+        self.parents = [-1] * len(self.nodes)
+        for node, entry in enumerate(self.nodes):
+            for child in self.indices(entry.get("children", []), f"children of node {node}"):
+                if self.parents[child] >= 0 or child == node:
+                    raise self.fault(f"node {child} has two parents")
+                self.parents[child] = node
+        self.order = self._top_down()
+        self.local: list[Doubles] = [self._transform(node) for node in range(len(self.nodes))]
+        self.world = list(self.local)
+        for node in self.order:
+            if self.parents[node] >= 0:
+                self.world[node] = self.world[self.parents[node]] @ self.local[node]
+
+    def name(self, node: int) -> str:
+        """The name of a node in messages and, made unique, of its joint."""
+        name = self.nodes[node].get("name")
+        return visible(name) if isinstance(name, str) and name.strip() else f"node{node}"
+
+    def indices(self, value: Any, what: str) -> list[int]:
+        """A list of node numbers."""
+        good = isinstance(value, list) and all(type(i) is int and 0 <= i < len(self.nodes) for i in value)
+        if not good:
+            raise self.fault(f"expected node numbers below {len(self.nodes)} as {what}")
+        return list(value)
+
+    def _top_down(self) -> list[int]:
+        """All nodes, parents before children, in the order of the file."""
+        order: list[int] = []
+        waiting = [node for node in range(len(self.nodes) - 1, -1, -1) if self.parents[node] < 0]
+        while waiting:
+            node = waiting.pop()
+            order.append(node)
+            waiting.extend(reversed(self.nodes[node].get("children", [])))
+        if len(order) < len(self.nodes):
+            raise self.fault("the nodes form a circle")
+        return order
+
+    def _transform(self, node: int) -> Doubles:
+        """The transform (4, 4) of a node relative to its parent."""
+        entry = self.nodes[node]
+        if "matrix" in entry:
+            matrix = self._numbers(entry["matrix"], 16, node, "matrix").reshape(4, 4).T
+        else:
+            x, y, z, w = self._numbers(entry.get("rotation", [0.0, 0.0, 0.0, 1.0]), 4, node, "rotation")
+            size = math.sqrt(x * x + y * y + z * z + w * w)
+            if size < 1e-6:
+                raise self.fault(f"node {self.name(node)} has a rotation of length zero")
+            matrix = np.eye(4)
+            matrix[:3, :3] = quat_to_matrix(np.array([w, x, y, z]) / size)
+            matrix[:3, :3] *= self._numbers(entry.get("scale", [1.0, 1.0, 1.0]), 3, node, "scale")
+            matrix[:3, 3] = self._numbers(entry.get("translation", [0.0, 0.0, 0.0]), 3, node, "translation")
+        return matrix
+
+    def _numbers(self, value: Any, count: int, node: int, what: str) -> Doubles:
+        good = isinstance(value, list) and len(value) == count
+        if not good or not all(type(v) in (int, float) and abs(v) < 1e6 for v in value):
+            raise self.fault(f"expected {count} numbers as {what} of node {self.name(node)}")
+        return np.array(value, np.float64)
+
+    def humanoid(self) -> dict[str, int]:
+        """Map canonical limb joints, hips and head to nodes by the bone table of VRM 0.x or 1.0; empty without one."""
+        extensions = self.file.json.get("extensions")
+        extensions = extensions if isinstance(extensions, dict) else {}
+        table: dict[str, Any] = {}
+        for key in ("VRMC_vrm", "VRM"):
+            human = extensions.get(key)
+            bones = human.get("humanoid") if isinstance(human, dict) else None
+            bones = bones.get("humanBones") if isinstance(bones, dict) else None
+            if isinstance(bones, dict):
+                table = {bone: entry.get("node") for bone, entry in bones.items() if isinstance(entry, dict)}
+            elif isinstance(bones, list):
+                table = {
+                    str(entry.get("bone")): entry.get("node") for entry in bones if isinstance(entry, dict)
+                }
+        wanted = {"hips": "Hips", "head": "Head"}
+        for side in ("Left", "Right"):
+            wanted |= {f"{side.lower()}{part}": f"{side}{ours}" for part, ours in _VRM_LIMBS.items()}
+        found = {ours: table[bone] for bone, ours in wanted.items() if table.get(bone) is not None}
+        nodes = self.indices(list(found.values()), "bones of the avatar")
+        twice = [self.name(node) for node, count in Counter(nodes).items() if count > 1]
+        if twice:
+            raise self.fault(f"the avatar's bone table names {twice[0]} twice")
+        return found
+
+    def joints(self, humanoid: set[int]) -> list[int]:
+        """The nodes of the character, parents first: those of skins and avatar, and all between them and their top."""
+        wanted = set(humanoid)
+        for skin in self.file.items("skins"):
+            wanted |= set(self.indices(skin.get("joints", []), "joints of a skin"))
+        if not wanted:
+            wanted = {node for node in self.order if "mesh" not in self.nodes[node]}
+        if not wanted:
+            raise self.fault("has no skeleton, only meshes; rig it first (in Blender, Mixamo or Mesh2Motion)")
+        wanted = self._main(wanted)
+        below = [0] * len(self.nodes)  # how many wanted nodes are at or below each node
+        for node in reversed(self.order):
+            below[node] += node in wanted
+            if self.parents[node] >= 0:
+                below[self.parents[node]] += below[node]
+        top = [node for node in self.order if below[node] == len(wanted)][-1]
+        inside, out = {top}, [top]
+        for node in self.order:
+            if below[node] and self.parents[node] in inside:
+                inside.add(node)
+                out.append(node)
+        if len(out) > MAX_JOINTS:
+            raise self.fault(f"{len(out)} joints, expected at most {MAX_JOINTS}")
+        for node in [*([self.parents[top]] if self.parents[top] >= 0 else []), *out]:
+            if float(np.linalg.det(self.world[node][:3, :3])) <= 0.0:
+                raise self.fault(
+                    f"node {self.name(node)} is mirrored or flat (negative scale or zero); "
+                    "apply the scale in the program it is from"
+                )
+        return out
+
+    def _main(self, wanted: set[int]) -> set[int]:
+        """Those of some nodes below the top node with the most; another top node must have less than half as many."""
+        tops = list(range(len(self.nodes)))
+        for node in self.order:
+            if self.parents[node] >= 0:
+                tops[node] = tops[self.parents[node]]
+        (first, count), *others = Counter(tops[node] for node in wanted).most_common()
+        if others and 2 * others[0][1] >= count:
+            names = f"{self.name(first)} and {self.name(others[0][0])}"
+            raise self.fault(f"two skeletons, below {names}; expected one character per file")
+        return {node for node in wanted if tops[node] == first}
+
+    def names(self, nodes: list[int]) -> tuple[str, ...]:
+        """Unique names of joints that a BVH file can hold."""
+        return joint_names(map(self.name, nodes), MAX_NAME)

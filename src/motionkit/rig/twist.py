@@ -1,0 +1,85 @@
+"""Spreads the twist of a limb over its twist joints, so that skin does not wring at one place.
+
+A limb bone turns about its own axis at the joint above it, and its end turns about it too. A twist joint beside the
+bone takes back, near the shoulder or hip, what the upper bone twists, and follows the hand or foot, near the wrist or
+ankle. Twist joints along the bone take its twist from the joint above them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motionkit.arrays import Doubles
+from motionkit.motion.rotations import quat_multiply, quat_normalize
+from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.rest_pose import SIDES
+from motionkit.rig.rig import Rig
+
+_BONES = {"Arm": "ForeArm", "ForeArm": "Hand", "UpLeg": "Leg", "Leg": "Foot"}  # limb joints and their ends
+_WORDS = ("twist", "roll")
+_STRAIGHT = 0.005  # share of the bone by which a joint along it may lie off its axis, and still turn about it
+
+
+def spread_twist(rig: Rig, local: Doubles) -> None:
+    """Turn the twist joints of a rig by their share; local rotations (T, J, 4) are changed in place."""
+    rest, places = rig.skeleton.rest_positions().astype(np.float64), rig.joints.places
+    for side in SIDES:
+        for part, below in _BONES.items():
+            top, end = places.get(f"{side}{part}"), places.get(f"{side}{below}")
+            if top is None or end is None or not rig.skeleton.descends(end, top):
+                continue
+            bone = rest[end] - rest[top]
+            size = float(np.linalg.norm(bone))
+            if size <= 0.0:
+                continue
+            axis = bone / size
+            chain = _along(rig.skeleton, top, end)
+            beside = _beside(rig, [top, *chain])
+            if beside:
+                upper = part in ("Arm", "UpLeg")
+                angle = twist(local[:, top if upper else end], axis)
+                for joint in beside:
+                    share = float(np.clip((rest[joint] - rest[top]) @ axis / size, 0.0, 1.0))
+                    local[:, joint] = turn((share - 1.0 if upper else share) * angle, axis)
+            elif chain and _straight(rest[chain] - rest[top], axis, size):
+                angle = twist(local[:, top], axis)
+                local[:, top] = quat_normalize(quat_multiply(local[:, top], turn(-angle, axis)))
+                for joint in chain:
+                    local[:, joint] = turn(angle / len(chain), axis)
+
+
+def twist(rotations: Doubles, axis: Doubles) -> Doubles:
+    """Angles (T,) in radians by which rotations (T, 4) turn about an axis (3,), continuous in time."""
+    return np.unwrap(2.0 * np.arctan2(rotations[:, 1:] @ axis, rotations[:, 0]))
+
+
+def turn(angles: Doubles, axis: Doubles) -> Doubles:
+    """Rotations (T, 4) by angles (T,) about an axis (3,)."""
+    return np.concatenate([np.cos(angles / 2)[:, None], np.sin(angles / 2)[:, None] * axis], axis=1)
+
+
+def _along(skeleton: Skeleton, top: int, end: int) -> list[int]:
+    """The joints between a limb joint and its end, from the top."""
+    out = []
+    joint = skeleton.parents[end]
+    while joint != top:
+        out.append(joint)
+        joint = skeleton.parents[joint]
+    return out[::-1]
+
+
+def _beside(rig: Rig, bone: list[int]) -> list[int]:
+    """Twist joints that hang from a bone and carry no joint that is known."""
+    skeleton, known = rig.skeleton, {*rig.joints.places.values(), *rig.joints.turns.values()}
+    found = [
+        joint
+        for joint, name in enumerate(skeleton.names)
+        if skeleton.parents[joint] in bone and any(word in name.lower() for word in _WORDS)
+    ]
+    return [joint for joint in found if not any(skeleton.descends(other, joint) for other in known)]
+
+
+def _straight(ways: Doubles, axis: Doubles, size: float) -> bool:
+    """Whether joints that are away (N, 3) from the top of a bone lie on its axis."""
+    off = ways - (ways @ axis)[:, None] * axis
+    return bool(np.linalg.norm(off, axis=1).max() <= _STRAIGHT * size)

@@ -1,0 +1,82 @@
+"""--clip: one animation of a .glb or .vrm that has several, for every command that takes a clip."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from motionkit.export.clip import rig_clip
+from motionkit.export.formats import write_motion
+from motionkit.finish.on_rig import on_rig
+from motionkit.rig.on_rig import read_rig
+from rig.test_character import parts, write
+from rig.test_gltf_rig import character
+from synthetic_motions import make_walk
+
+
+@pytest.fixture
+def hero(tmp_path: Path) -> Path:
+    """A character with two animations of 3 and 2 s."""
+    write(tmp_path / "bare.glb", character())
+    for source, target, frames in (("bare", "one", 180), ("one", "hero", 120)):
+        rig = read_rig(tmp_path / f"{source}.glb")
+        clip = rig_clip(on_rig(make_walk(frames), rig), rig, "x", [(f"gait {frames}", 1.0)])
+        write_motion(tmp_path / f"{target}.glb", clip)
+    (tmp_path / "one.glb").unlink()
+    return tmp_path / "hero.glb"
+
+
+@pytest.mark.parametrize(
+    ("words", "made"),
+    [
+        ("retarget hero.glb -o a.bvh", "a.bvh"),
+        ("retarget hero.glb --rig hero.glb -o a.glb", "a.glb"),
+        ("metrics hero.glb", ""),
+        ("mirror hero.glb a.glb", "a.glb"),
+        ("view hero.glb -o a.html", "a.html"),
+        ("convert hero.glb a.csv", "a.csv"),
+        ("loop hero.glb -o a.glb", "a.glb"),
+        ("fix hero.glb -o a.glb", "a.glb"),
+        ("doctor hero.glb", ""),
+        ("synthesize --types walking:0.3 --init hero.glb -o a.bvh", "a.bvh"),
+        ("synthesize --types walking:0.3 --rig bare.glb --from hero.glb -o a.glb", "a.glb"),
+    ],
+)
+def test_every_command_asks_which_and_takes_it(
+    motionkit, hero: Path, tmp_path: Path, tiny_model_file: Path, words: str, made: str
+) -> None:
+    asked = words.split() + (["--model", tiny_model_file] if words.startswith("synth") else [])
+    refused = motionkit(*asked)
+    told = refused.err + refused.out
+    assert (
+        refused.code == 1 and "--clip: gait_180" not in told and "--clip: gait 180 (2.98 s), gait 120" in told
+    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bare.glb", "hero.glb"]
+    done = motionkit(*asked, "--clip", "gait 120")
+    assert done.code == 0, done.err
+    assert not made or (tmp_path / made).stat().st_size > 1000
+    if made == "a.glb" and "bare" not in words:
+        names = [one["name"] for one in parts(tmp_path / "a.glb")[1]["animations"]]
+        assert names[:2] == ["gait 180", "gait 120"] and len(names) == 3
+
+
+def test_all_of_them(motionkit, hero: Path, tmp_path: Path) -> None:
+    assert motionkit("convert", "hero.glb", "a.bvh", "--clip", "all").code == 0
+    assert sorted(path.name for path in tmp_path.glob("*.bvh")) == ["a-gait 120.bvh", "a-gait 180.bvh"]
+    done = motionkit("doctor", ".", "--clip", "all", "--json")
+    assert done.code == 0 and '"hero.glb#gait 180"' in done.out and "bare.glb: has no animation" in done.out
+    assert motionkit("convert", "hero.glb", "b.bvh", "--clip", "all", "--name", "x").code == 0
+
+
+def test_the_written_animation(motionkit, hero: Path, tmp_path: Path, tiny_model_file: Path) -> None:
+    """Name and place beside the others; an avatar is asked for before any work; the input stays."""
+    words = ("synthesize", "--types", "walking:0.3,idle:0.2", "--model", tiny_model_file, "--rig", "hero.glb")
+    assert motionkit(*words, "-o", "a.glb").code == 0
+    assert motionkit(*words, "-o", "b.glb", "--name", "my move", "--replace").code == 0
+    names = [[one["name"] for one in parts(tmp_path / name)[1]["animations"]] for name in ("a.glb", "b.glb")]
+    assert names == [["gait 180", "gait 120", "walking-idle"], ["my move"]]
+    for name, said in (("c.vrm", "a .vrm is an avatar"), ("hero.glb", "is read by this command")):
+        refused = motionkit(*words, "-o", name)
+        assert refused.code in (1, 2) and said in refused.err
+    assert not (tmp_path / "c.vrm").exists()

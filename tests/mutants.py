@@ -1,0 +1,128 @@
+"""Changes one thing of the source at a time, and counts how many of these mutants the tests see.
+
+python tests/mutants.py [--count 40] [--seed 0] [ROOM ...]     rooms: metrics, files, editing, export
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+# Room -> its source, below src/motionkit, and its tests.
+ROOMS = {
+    "metrics": ("metrics/*.py", ["tests/metrics"]),
+    "files": ("files.py", ["tests/test_files.py"]),
+    "editing": ("editing/*.py", ["tests/editing"]),
+    "export": ("export/[!o]*.py", ["tests/export/test_formats.py"]),  # the graph's own tests take minutes
+}
+PATIENCE = 900.0  # s; a mutant that runs for longer is seen
+SWAPS: dict[type, type] = {
+    **{
+        ast.Lt: ast.LtE,
+        ast.LtE: ast.Lt,
+        ast.Gt: ast.GtE,
+        ast.GtE: ast.Gt,
+        ast.Eq: ast.NotEq,
+        ast.NotEq: ast.Eq,
+    },
+    **{
+        ast.Add: ast.Sub,
+        ast.Sub: ast.Add,
+        ast.Mult: ast.Div,
+        ast.Div: ast.Mult,
+        ast.And: ast.Or,
+        ast.Or: ast.And,
+    },
+    **{ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is},
+}
+
+
+def mutants(tree: ast.Module) -> Iterator[tuple[int, str, ast.AST, str, object]]:
+    """Line, words, and the node, field and new value of every change."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Compare) and type(node.ops[0]) in SWAPS:
+            new = SWAPS[type(node.ops[0])]()
+            yield node.lineno, f"{ast.unparse(node)}: {type(new).__name__}", node, "ops", [new, *node.ops[1:]]
+        elif isinstance(node, (ast.BinOp, ast.BoolOp)) and type(node.op) in SWAPS:
+            text = isinstance(node, ast.BinOp) and any(
+                isinstance(side, (ast.JoinedStr, ast.List, ast.Tuple))
+                or isinstance(getattr(side, "value", None), str)
+                for side in (node.left, node.right)
+            )
+            new = SWAPS[type(node.op)]()
+            if not text:
+                yield node.lineno, f"{ast.unparse(node)}: {type(new).__name__}", node, "op", new
+        elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
+            new = node.value + 1 if isinstance(node.value, int) else 1.25 * node.value + 0.001
+            yield node.lineno, f"{node.value} is {new}", node, "value", new
+        elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
+            yield node.lineno, f"{node.value} is {not node.value}", node, "value", not node.value
+        elif isinstance(node, ast.If):
+            yield (
+                node.lineno,
+                f"not: {ast.unparse(node.test)}",
+                node,
+                "test",
+                ast.UnaryOp(ast.Not(), node.test),
+            )
+
+
+def seen(copy: Path, tests: list[str]) -> bool:
+    """Whether the tests fail with a copy of the source."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]
+    paths = {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        done = subprocess.run(
+            command, cwd=ROOT, env=os.environ | paths, capture_output=True, timeout=PATIENCE
+        )
+    except subprocess.TimeoutExpired:
+        return True
+    return done.returncode != 0
+
+
+def main() -> None:
+    words = argparse.ArgumentParser()
+    words.add_argument("rooms", nargs="*", default=list(ROOMS))
+    words.add_argument("--count", type=int, default=40)
+    words.add_argument("--seed", type=int, default=0)
+    asked = words.parse_args()
+    every = []
+    for room in asked.rooms:
+        for path in sorted((ROOT / "src/motionkit").glob(ROOMS[room][0])):
+            every += [(room, path, n) for n, _ in enumerate(mutants(ast.parse(path.read_text("utf-8"))))]
+    chosen = random.Random(asked.seed).sample(every, min(asked.count, len(every)))
+    killed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(shutil.copytree(ROOT / "src", Path(folder) / "src"))
+        for room in asked.rooms:
+            assert not seen(copy, ROOMS[room][1]), f"the tests of {room} fail without a mutant"
+        for number, (room, path, which) in enumerate(sorted(chosen), 1):
+            text, place = path.read_text("utf-8"), copy / path.relative_to(ROOT / "src")
+            tree = ast.parse(text)
+            line, said, node, field, value = list(mutants(tree))[which]
+            setattr(node, field, value)
+            place.write_text(ast.unparse(ast.fix_missing_locations(tree)), "utf-8")
+            began, dead = time.monotonic(), seen(copy, ROOMS[room][1])
+            place.write_text(text, "utf-8")
+            killed += dead
+            where = f"{path.relative_to(ROOT)}:{line}"
+            print(
+                f"{'killed' if dead else 'LIVES '} {time.monotonic() - began:4.0f} s  {where}  {said[:100]}",
+                flush=True,
+            )
+            print(f"{killed} of {number} killed, {100 * killed / number:.0f} %", file=sys.stderr, flush=True)
+    print(f"{killed} of {len(chosen)} killed, {100 * killed / len(chosen):.0f} % (of {len(every)} possible)")
+
+
+if __name__ == "__main__":
+    main()

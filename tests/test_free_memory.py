@@ -1,0 +1,51 @@
+"""Motion that does not fit into memory is refused before the work."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+
+import pytest
+
+import motionkit as mk
+from motionkit import free_memory
+from motionkit.errors import MotionkitError
+from motionkit.motion.motion import resample
+from synthetic_motions import make_walk
+
+GB = 10**9
+
+
+def test_what_would_fit_is_said_and_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(free_memory, "free_memory", lambda: GB)
+    with pytest.raises(
+        MotionkitError, match=r"432,000 frames of 50 joints take about 11 GB .* at most 333 s at 120"
+    ):
+        free_memory.check_memory(432_000, 50, 120.0)
+    free_memory.check_memory(333 * 120, 50, 120.0)
+
+
+@pytest.mark.parametrize("work", [
+    lambda: resample(make_walk(60), 480.0),
+    lambda: mk.synthesize("walking:3000"),
+])  # fmt: skip
+def test_it_is_asked_before_the_work(monkeypatch: pytest.MonkeyPatch, work) -> None:
+    monkeypatch.setattr(free_memory, "free_memory", lambda: 10**6)
+    with pytest.raises(MotionkitError, match="are free; expected at most"):
+        work()
+
+
+@pytest.mark.parametrize(
+    ("limit", "low", "high"), [(2 * GB, 0.5 * GB, 2 * GB), (None, 0.1 * GB, sys.maxsize)]
+)
+def test_the_limit_of_the_process_counts(limit: int | None, low: float, high: float) -> None:
+    def limited() -> None:
+        if limit:
+            resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+    code = "from motionkit.free_memory import free_memory; print(free_memory())"
+    done = subprocess.run(
+        [sys.executable, "-c", code], preexec_fn=limited, capture_output=True, text=True, check=True
+    )
+    assert low <= int(done.stdout) <= high
