@@ -8,17 +8,19 @@ import click
 
 from motionkit.cli.common import PLACE, clip_options, gathered, json_option
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, checked_ending, naming
+from motionkit.cli.folders import folders
+from motionkit.cli.outputs import Wanted, naming
 from motionkit.cli.rig_options import RootMotion, root_options
 
 
 @click.command("convert")
 @click.argument("source", type=PLACE)
-@click.argument("target", type=PLACE, callback=checked_ending)
+@click.argument("target", type=PLACE)
 @click.option("--fps", type=FiniteRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
 @clip_options
 @root_options
 @json_option
+@folders("source", "target")
 @gathered("root_motion", RootMotion)
 def command(source: Path, target: Path, fps: float | None, root_motion: RootMotion, as_json: bool) -> None:
     """Convert a motion file; the endings of SOURCE and TARGET name the formats.

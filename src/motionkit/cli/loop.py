@@ -8,6 +8,7 @@ import click
 
 from motionkit.cli.common import PLACE, clip_options, gathered, json_option, remark
 from motionkit.cli.finite import FiniteRange
+from motionkit.cli.folders import folders
 from motionkit.cli.outputs import Wanted, clip_output_option, naming, shown_name, view_option
 from motionkit.cli.rig_options import RootMotion, root_options
 from motionkit.errors import MotionkitError
@@ -30,6 +31,7 @@ from motionkit.errors import MotionkitError
 @root_options
 @view_option
 @json_option
+@folders("clip", "output")
 @gathered("root_motion", RootMotion)
 @gathered("wanted", Wanted)
 def command(
