@@ -8,19 +8,21 @@ import click
 
 from motionkit.cli.common import PLACE, animations_option, clip_options, gathered, json_option
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, animation_options, checked_ending, naming
+from motionkit.cli.folders import folders
+from motionkit.cli.outputs import Wanted, animation_options, naming
 from motionkit.cli.rig_options import RootMotion, root_options
 
 
 @click.command("convert")
 @click.argument("source", type=PLACE)
-@click.argument("target", type=PLACE, callback=checked_ending)
+@click.argument("target", type=PLACE)
 @click.option("--fps", type=FiniteRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
 @clip_options
 @root_options
 @animations_option
 @animation_options
 @json_option
+@folders("source", "target")
 @gathered("root_motion", RootMotion)
 def command(
     source: Path,

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import PLACE, animation_option, clip_options, gathered, json_option, switch
+from motionkit.cli.common import (
+    PLACE,
+    animation_option,
+    clip_options,
+    gathered,
+    json_option,
+    option,
+    switch,
+)
+from motionkit.cli.finite import FiniteRange
+from motionkit.cli.folders import folders
 from motionkit.cli.outputs import Wanted, animation_options, clip_output_option, naming, shown_name
 from motionkit.errors import MotionkitError
 
@@ -28,13 +38,21 @@ if TYPE_CHECKING:
 @animation_option
 @animation_options
 @clip_options
+@option(
+    "--strength",
+    default=1.0,
+    type=FiniteRange(0.2, 10),
+    help="Width of the filter against trembling: 1 is 0.15 s.",
+)
 @click.option("--view", is_flag=True, help="Also write a web page that plays both motions, and open it.")
 @json_option
+@folders("clip", "output")
 @gathered("wanted", Wanted)
-def command(clip: Path, wanted: Wanted, **repairs: bool) -> None:
+def command(clip: Path, wanted: Wanted, **repairs: Any) -> None:
     """Repair CLIP, a motion of any rig; joints, bone lengths, unit and frames stay.
 
-    The command prints what it measured before and after. Rigs that are not human keep their floor and feet.
+    The command prints what it measured before and after; a step that makes it worse is taken back, and said.
+    Rigs that are not human keep their floor and feet.
     """
     from motionkit.editing.fix import Repairs, fix_motion
     from motionkit.export.formats import read_clip

@@ -8,6 +8,7 @@ import click
 
 from motionkit.cli.common import PLACE, animation_option, clip_options, gathered, json_option, remark
 from motionkit.cli.finite import FiniteRange
+from motionkit.cli.folders import folders
 from motionkit.cli.outputs import (
     Wanted,
     animation_options,
@@ -39,6 +40,7 @@ from motionkit.errors import MotionkitError
 @animation_options
 @view_option
 @json_option
+@folders("clip", "output")
 @gathered("root_motion", RootMotion)
 @gathered("wanted", Wanted)
 def command(

@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from difflib import get_close_matches
 from types import FrameType
 from typing import Any
 
@@ -37,6 +38,7 @@ COMMANDS = {
     "retarget": "retarget",
     "mirror": "mirror",
     "convert": "convert",
+    "trim": "trim",
     "loop": "loop",
     "fix": "fix",
     "view": "view",
@@ -44,6 +46,16 @@ COMMANDS = {
     "demo": "demo",
     "export": "export",
     "experiment": "experiment",
+}
+
+
+# Words that people try, and the command for each.
+SPELLINGS = {
+    "synthesise": "synthesize",
+    "generate": "synthesize",
+    "looking": "view",
+    "show": "view",
+    "cut": "trim",
 }
 
 
@@ -67,6 +79,13 @@ class CommandGroup(click.Group):
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
+            near = [word for word, known in SPELLINGS.items() if word == name.lower()] or get_close_matches(
+                name.lower(), COMMANDS, 1, 0.6
+            )
+            if near:
+                raise click.UsageError(
+                    f"no such command {name!r}; did you mean {SPELLINGS.get(near[0], near[0])}?"
+                )
             return None
         return importlib.import_module(f"motionkit.cli.{COMMANDS[name]}").command
 

@@ -63,10 +63,10 @@ def output_option(text: str) -> Callable:
     return click.option("-o", "--output", type=PLACE, callback=checked_ending, help=text)
 
 
-def clip_output_option(word: str) -> Callable:
-    """The -o option of commands that edit a clip; the default is CLIP-word.bvh in the current folder."""
-    text = f"File to write: {ENDINGS}; CLIP-{word}.bvh by default."
-    return click.option("-o", "--output", type=PLACE, callback=checked_ending, help=text)
+def clip_output_option(word: str, clip: str = "CLIP") -> Callable:
+    """The -o option of commands that take a clip or a folder; the default is CLIP-word.bvh in the current folder."""
+    text = f"File to write: {ENDINGS}; {clip}-{word}.bvh by default. A folder if {clip} is one."
+    return click.option("-o", "--output", type=PLACE, help=text)
 
 
 def default_output(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motionkit.cli.common import (
+    EXISTING,
     EXISTING_FILE,
     FILE,
     animation_option,
@@ -22,7 +23,8 @@ from motionkit.cli.common import (
     switch,
 )
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, animation_options, output_option, shown_name, view_option
+from motionkit.cli.folders import folders
+from motionkit.cli.outputs import Wanted, animation_options, clip_output_option, shown_name, view_option
 from motionkit.cli.rig_options import RigChoice, clip_option, map_option, open_rig, rig_option
 from motionkit.names import counted
 
@@ -82,8 +84,8 @@ class Rigs:
 
 
 @click.command("retarget")
-@click.argument("source", required=False, type=EXISTING_FILE)
-@output_option("File to write; named after SOURCE and the rig by default")
+@click.argument("source", required=False, type=EXISTING)
+@clip_output_option("on-RIG", "SOURCE")
 @rig_option
 @map_option
 @clip_option
@@ -113,6 +115,7 @@ class Rigs:
 @strict_option
 @view_option
 @json_option
+@folders("source", "output")
 @gathered("rigs", Rigs)
 @gathered("wanted", Wanted)
 def command(

@@ -6,6 +6,7 @@ rig's bone lengths; the rotations of foot locking are then applied to the rig's 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,8 @@ from motionkit.motion.floor import floor_shift
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_inverse, quat_multiply, quat_normalize
-from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
+from motionkit.names import counted
 from motionkit.rig.names import RigMap, map_rig
 from motionkit.rig.upright import Upright, relative_rotation
 
@@ -35,17 +37,23 @@ MEASURED: dict[str, str] = {
     "skate-ratio": "share of standing toes that slide",
     "jerk": "jerk",
 }
+PASSES = 8  # most passes over glitches; each may uncover others
+# cm/s, and cm besides, that a root moves at most between two frames; further leaps are spikes, or frames elsewhere.
+FASTEST_ROOT, ROOT_SLACK = 2000.0, 50.0
+# Share, and cm, by which a step may raise what it is to lower; else it is taken back.
+WORSE_SHARE, WORSE_CM = 1.05, 0.02
 FAR_OFF = 15.0  # cm; without toes the floor is uncertain, so it is moved only if it is further off than this
 
 
 @dataclass(frozen=True)
 class Repairs:
-    """Which repairs to make."""
+    """Which repairs to make; strength is the width of the filter against trembling, as a share of the usual one."""
 
     glitches: bool = True
     trembling: bool = True
     floor: bool = True
     sliding: bool = True
+    strength: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -66,7 +74,7 @@ class Fixed:
         motion: the repaired motion, on the same joints, in the same unit and with the same up axis.
         table: measurements before and after.
         glitches: (frame, joint) of every repaired pop and flip.
-        notes: repairs that were not possible.
+        notes: repairs that were not possible, or were taken back because they made it worse.
     """
 
     motion: Motion
@@ -88,17 +96,81 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         raise SkeletonError("all bones have zero length, expected a rig")
     source = Upright.of(motion)
     made, rig = source.motion, _rig(source.motion)
-    notes: tuple[str, ...] = ()
     limbs = _limbs(made, rig)
-    mended, glitches = mend(made, limbs)
-    made = mended if repairs.glitches else made
-    if repairs.trembling:
-        made = _steadied(made)
-    if repairs.floor or repairs.sliding:
-        made, notes = _on_the_floor(made, rig, repairs)
+    found = mend(made, limbs)[1]
+    glitches: list[tuple[int, str]] = []
+    notes: list[str] = []
+    if repairs.glitches:
+        made, spikes = _without_spikes(made)
+        notes += [f"the root leaps away in {counted(spikes, 'frame')}: bridged"] if spikes else []
+        made, glitches = _mended(made, limbs)
+    steps: list[tuple[bool, str, Callable[[Motion], tuple[Motion, tuple[str, ...]]], str]] = [
+        (repairs.trembling, "trembling", lambda motion: (_steadied(motion, repairs.strength), ()), "jerk"),
+        (repairs.floor, "floor", lambda motion: _on_the_floor(motion, rig, Repairs(sliding=False)), "floor"),
+        (repairs.sliding, "sliding", lambda motion: _on_the_floor(motion, rig, Repairs(floor=False)), "afs"),
+    ]
+    for wanted, name, step, metric in steps:
+        if not wanted:
+            continue
+        tried, told = step(made)
+        before, after = _cost(made, metric), _cost(tried, metric)
+        if before is not None and after is not None and after > WORSE_SHARE * before + WORSE_CM:
+            notes.append(f"{name}: taken back, because it made it worse ({before:.3g} to {after:.3g})")
+            continue
+        made, notes = tried, [*notes, *told]
     left = mend(made, limbs)[1]
-    table = _table(source, Upright(made), (float(len(glitches)), float(len(left))))
-    return Fixed(source.back(made), table, tuple(glitches) if repairs.glitches else (), notes)
+    table = _table(source, Upright(made), (float(len(found)), float(len(left))))
+    return Fixed(source.back(made), table, tuple(glitches), tuple(dict.fromkeys(notes)))
+
+
+def _mended(motion: Motion, limbs: list[Limb]) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion without glitches, mended until another pass finds none or no fewer, and all that were found."""
+    every: list[tuple[int, str]] = []
+    fewest = None
+    for _ in range(PASSES):
+        mended, found = mend(motion, limbs)
+        if not found or (fewest is not None and len(found) >= fewest):
+            break
+        motion, fewest = mended, len(found)
+        every += found
+    return motion, list(dict.fromkeys(every))
+
+
+def _without_spikes(motion: Motion) -> tuple[Motion, int]:
+    """The motion with its root bridged where it leaps away, and how many frames were; the longest stretch stays."""
+    roots = motion.root_positions.astype(np.float64)
+    leap = FASTEST_ROOT / motion.fps + ROOT_SLACK
+    cuts = np.flatnonzero(np.linalg.norm(np.diff(roots, axis=0), axis=1) > leap) + 1
+    if not cuts.size:
+        return motion, 0
+    runs = [run for run in np.split(np.arange(len(roots)), cuts)]
+    longest = max(range(len(runs)), key=lambda i: len(runs[i]))
+    kept = list(runs[longest])
+    for others, end in ((runs[longest + 1 :], -1), (runs[:longest][::-1], 0)):
+        for run in others:  # a stretch that the body can have reached from the nearest one that is kept
+            near = run[0 if end else -1]
+            gap = abs(int(near) - int(kept[end]))
+            if np.linalg.norm(roots[near] - roots[kept[end]]) <= leap * gap:
+                kept = [*kept, *run] if end else [*run, *kept]
+    away = np.setdiff1d(np.arange(len(roots)), kept)
+    for axis in range(3):
+        roots[away, axis] = np.interp(away, kept, roots[kept, axis])
+    return replace(motion, root_positions=roots.astype(motion.root_positions.dtype)), len(away)
+
+
+def _cost(motion: Motion, metric: str) -> float | None:
+    """What a step is to lower, by the table's own measures: jerk, sliding, or feet off their height and below zero."""
+    canonical = Upright(motion).canonical
+    if canonical is None:
+        return _jerk(motion) if metric == "jerk" else None
+    try:
+        report = evaluate_motion(canonical)
+    except MotionkitError:
+        return None
+    if metric != "floor":
+        return report.value(metric)
+    height, depth = report.value("floor-height"), report.value("penetration-max")
+    return None if height is None or depth is None else max(abs(height - STANDING_HEIGHTS[1]), depth)
 
 
 def _rig(motion: Motion) -> RigMap | None:
@@ -122,9 +194,9 @@ def _limbs(motion: Motion, rig: RigMap | None) -> list[Limb]:
     return out
 
 
-def _steadied(motion: Motion) -> Motion:
+def _steadied(motion: Motion, strength: float) -> Motion:
     """The motion with jitter removed."""
-    window = window_at(motion.fps)
+    window = window_at(motion.fps * strength)
     local = motion.local_positions
     return replace(
         motion,

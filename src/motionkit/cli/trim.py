@@ -1,0 +1,107 @@
+"""`motionkit trim`: cuts a stretch out of a clip, and changes its rate or its speed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from motionkit.cli.common import PLACE, animation_option, clip_options, gathered, json_option
+from motionkit.cli.finite import FiniteRange
+from motionkit.cli.folders import folders
+from motionkit.cli.outputs import (
+    Wanted,
+    animation_options,
+    clip_output_option,
+    naming,
+    shown_name,
+    view_option,
+)
+from motionkit.errors import MotionkitError
+
+_TIME = re.compile(r"(\d+(?:\.\d*)?)\s*s?|(\d+)\s*f")
+
+
+class _Time(click.ParamType):
+    """A time in a clip: seconds, such as 1.5 or 1.5s, or a frame, such as 90f."""
+
+    name = "time"
+
+    def convert(
+        self, value: object, parameter: click.Parameter | None, context: click.Context | None
+    ) -> tuple[float, str]:
+        """The number and its unit, "s" or "f"."""
+        if isinstance(value, tuple):
+            return value
+        found = _TIME.fullmatch(str(value).strip())
+        if found is None:
+            self.fail(
+                f"expected seconds such as 1.5, or a frame such as 90f, found {value!r}", parameter, context
+            )
+        return (float(found[1]), "s") if found[1] else (float(found[2]), "f")
+
+
+@click.command("trim")
+@click.argument("clip", type=PLACE)
+@clip_output_option("trimmed")
+@click.option(
+    "--from", "start", type=_Time(), default="0", help="First moment kept: seconds, or a frame such as 90f."
+)
+@click.option(
+    "--to", "end", type=_Time(), help="End, which is not kept: seconds or a frame; that of CLIP by default."
+)
+@click.option("--moving", is_flag=True, help="Also cut off what stands still at both ends.")
+@click.option(
+    "--speed", type=FiniteRange(0.05, 20), help="Play the clip so many times as fast, at the same rate."
+)
+@click.option("--fps", type=FiniteRange(1, 480), help="Frame rate to write; that of CLIP by default.")
+@animation_option
+@animation_options
+@clip_options
+@view_option
+@json_option
+@folders("clip", "output")
+@gathered("wanted", Wanted)
+def command(
+    clip: Path,
+    start: tuple[float, str],
+    end: tuple[float, str] | None,
+    moving: bool,
+    speed: float | None,
+    fps: float | None,
+    wanted: Wanted,
+) -> None:
+    """Cut a stretch out of CLIP, a motion of any rig; joints, unit and axes stay."""
+    from motionkit.editing.trim import moving_frames
+    from motionkit.export.formats import read_clip
+    from motionkit.motion.motion import resample
+    from motionkit.view.figure_data import Shown
+
+    wanted.check()
+    outputs = wanted.files(f"{clip.stem}-trimmed", [clip])
+    source = read_clip(clip)
+    motion = source.motion
+    first, last = (
+        len(motion) if at is None else round(at[0] if at[1] == "f" else at[0] * motion.fps)
+        for at in (start, end)
+    )
+    if not first < min(last, len(motion)):
+        raise MotionkitError(
+            f"{clip}: frames {first} to {last} asked for, but it has {len(motion)}, {motion.seconds:.2f} s"
+        )
+    last = min(last, len(motion))
+    if moving:
+        with naming(clip, MotionkitError):
+            begin, finish = moving_frames(motion.cut(first, last))
+        first, last = first + begin, first + finish
+    made = motion.cut(first, last)
+    rate = fps or made.fps
+    made = replace(resample(replace(made, fps=made.fps * (speed or 1.0)), rate), fps=rate)
+    with naming(clip):
+        outputs.write(source.with_motion(made))
+    outputs.show(lambda: [Shown(outputs.file.stem, made)])
+    facts = {"output": outputs.file, "start": first, "end": last, "frames": len(made), "fps": made.fps}
+    kept = f"frames {first} to {last - 1} of {clip.name}, {made.seconds:.2f} s at {made.fps:g} fps"
+    outputs.report(facts, [f"wrote {shown_name(outputs.file)}: {kept}"])

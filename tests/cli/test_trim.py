@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.export.formats import read_motion, write_motion
+from motionkit.motion.motion import Motion
+from synthetic_motions import make_walk
+
+
+@pytest.fixture
+def walk(tmp_path: Path) -> Motion:
+    write_motion(tmp_path / "walk.bvh", make_walk(120))
+    return read_motion(tmp_path / "walk.bvh")
+
+
+@pytest.mark.parametrize(
+    ("words", "first", "frames", "fps"),
+    [
+        (("--from", 0.5, "--to", "90f"), 30, 60, 60),
+        (("--from", "20f"), 20, 100, 60),
+        (("--fps", 30), 0, 60, 30),
+        (("--speed", 2), 0, 60, 60),
+        (("--to", 99), 0, 120, 60),
+    ],
+)
+def test_a_stretch_is_kept(
+    motionkit, walk: Motion, tmp_path: Path, words: tuple[object, ...], first: int, frames: int, fps: float
+) -> None:
+    assert motionkit("trim", "walk.bvh", "-o", "a.bvh", *words).code == 0
+    made = read_motion(tmp_path / "a.bvh")
+    assert len(made) == frames and made.fps == pytest.approx(fps)
+    assert np.abs(made.root_positions[0] - walk.root_positions[first]).max() < 1e-3
+
+
+def test_what_stands_still_is_cut_off(motionkit, walk: Motion, tmp_path: Path) -> None:
+    rows = np.clip(np.arange(-60, 180), 0, len(walk) - 1)
+    still = Motion(walk.skeleton, walk.local_rotations[rows], walk.root_positions[rows], walk.fps)
+    write_motion(tmp_path / "still.bvh", still)
+    assert motionkit("trim", "still.bvh", "-o", "a.bvh", "--moving").code == 0
+    assert len(read_motion(tmp_path / "a.bvh")) == pytest.approx(len(walk) + 2 * 15, abs=6)
+
+
+def test_what_is_not_there_is_refused(motionkit, walk: Motion) -> None:
+    assert motionkit("trim", "walk.bvh", "--from", 5).failed_with(
+        "frames 300 to 120 asked for, but it has 120"
+    )
+    assert motionkit("trim", "walk.bvh", "--from", "five").code == 2
+
+
+@pytest.mark.parametrize("command", ["trim", "fix", "loop", "convert", "retarget"])
+def test_a_folder_is_done_but_for_what_fails(motionkit, walk: Motion, tmp_path: Path, command: str) -> None:
+    deep = tmp_path / "in" / "deep"
+    deep.mkdir(parents=True)
+    write_motion(tmp_path / "in" / "a.bvh", walk)
+    write_motion(deep / "b.bvh", walk)
+    (deep / "bad.bvh").write_text("HIERARCHY\n")
+    target = ("out",) if command == "convert" else ("-o", "out")
+    said = motionkit(command, "in", *target, "--jobs", 1, "--format", "csv")
+    assert said.code == 1 and "out: 2 of 3 files written" in said.out
+    assert said.err.count("failed: ") == 1 and "bad.bvh" in said.err and "1 of 3 files failed" in said.err
+    assert sorted(p.name for p in (tmp_path / "out").rglob("*.*")) == ["a.csv", "b.csv"]
+    assert motionkit(command, "in", *(("in/x",) if command == "convert" else ("-o", "in/x"))).code == 2
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("synthesise", "synthesize"), ("looking", "view"), ("follow_path", "follow-path")]
+)
+def test_mistyped_commands_are_suggested(motionkit, typed: str, meant: str) -> None:
+    assert f"did you mean {meant}?" in motionkit(typed).err
