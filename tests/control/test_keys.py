@@ -262,7 +262,7 @@ def test_each_file_is_read_once(
         write_bvh(tmp_path / f"{name}.bvh", make_walk(60))
     read = []
     plain = retarget.retarget_file
-    monkeypatch.setattr(retarget, "retarget_file", lambda path: (read.append(path.name), plain(path))[1])
+    monkeypatch.setattr(retarget, "retarget_file", lambda path, **_: (read.append(path.name), plain(path))[1])
     poses = [{"time": 0.5 + 0.2 * n, "pose": {"file": f"{'ab'[n % 2]}.bvh"}} for n in range(6)]
     keys = read_keys(write(tmp_path, *poses), tiny_model)
     assert sorted(read) == ["a.bvh", "b.bvh"]

@@ -273,9 +273,3 @@ def test_feet_hold_the_root_of_all_but_standing_bodies(tiny_model: MotionModel) 
     assert tiny_model.kind("idle") is MotionKind.STANCE
     mixed = 0.25 * weights[stand] + 0.75 * weights[walk]
     assert tiny_model.root_hold(np.stack([weights[stand], weights[walk], mixed])).tolist() == [0.0, 1.0, 0.75]
-
-
-def test_one_frame_is_a_motion_too(tiny_model: MotionModel) -> None:
-    for ik in (True, False):
-        made = synthesize(tiny_model, parse_types("walking:0.01"), SynthesisOptions(ik=ik)).motion
-        assert len(made) == 1 and np.isfinite(made.root_positions).all()

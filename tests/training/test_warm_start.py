@@ -121,7 +121,8 @@ def test_kept_types_are_trained_on_roll_outs_of_the_model(foreign: Path) -> None
     ]
     assert len(mine) == 1 and mine[0].frames == round(5.0 * model.fps)
     data = dataset.read(mine[0])
-    assert (data.phases >= 0.0).mean() > 0.5 and data.reference.any()
+    # A cartwheel that would not end within the roll-out does not begin.
+    assert (data.phases >= 0.0).mean() > 0.35 and data.reference.any()
     assert turns_over(data.features, dataset.layout.version)
     walking = next(
         c for c in dataset.select("train") if (dataset.clip_types(c) == dataset.types.index("walking")).all()

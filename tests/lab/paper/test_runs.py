@@ -213,7 +213,7 @@ def test_the_committed_results_are_read() -> None:
 )  # fmt: skip
 def test_a_fault_in_a_result_is_named(change: dict[str, Any], complaint: str, tmp_path: Path) -> None:
     committed = (
-        Path(__file__).resolve().parents[3] / "experiments" / "results" / "D_L" / "long" / "tptn-0.json"
+        Path(__file__).resolve().parents[3] / "experiments" / "results" / "D_L" / "long-520" / "tptn-0.json"
     )
     result = json.loads(committed.read_text("utf-8")) | change
     (tmp_path / "odd.json").write_text(json.dumps({k: v for k, v in result.items() if v is not ...}))
