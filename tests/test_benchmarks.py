@@ -17,10 +17,11 @@ LEAST = {
     "metric_response": (),
     "preprocessing": ("--copies", "1", "--jobs", "1"),
     "rigs": ("examples/data", "--most", "2"),
+    "training_step": ("--batch", "1", "--window", "20", "--repeats", "1"),
     "synthesis": ("--characters", "1", "--steps", "2"),
 }
-# They need a browser or a video encoder (films, demo, pages), or time a graphics card (training_step).
-ELSEWHERE = {"common", "demo", "films", "pages", "training_step"}
+# They need a browser or a video encoder (films, demo, pages), or datasets (gpu_job).
+ELSEWHERE = {"common", "demo", "films", "gpu_job", "pages"}
 
 
 def test_no_script_is_left_out() -> None:

@@ -56,9 +56,16 @@ def write_together(contents: Mapping[Path, bytes]) -> None:
             pending.file.write(data)
             pending.finish()
             every.append(pending)
+        new = [pending for pending in every if not pending.target.exists()]
         with uninterrupted():
-            for pending in every:
-                pending.put_in_place()
+            try:
+                for pending in every:
+                    pending.put_in_place()
+            except OSError:
+                for pending in new:
+                    if not pending.temporary:  # it is in place
+                        pending.target.unlink()
+                raise
 
 
 class _Pending:

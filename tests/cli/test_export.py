@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from motionkit.errors import MotionkitError
-from motionkit.export import onnx_export
 from motionkit.export.onnx_export import OnnxStep, export_onnx
 from motionkit.models.checkpoint import save_model
 from motionkit.models.model import MotionModel
@@ -70,7 +69,7 @@ def test_files_of_other_kinds_are_not_overwritten(
 
 
 @pytest.mark.parametrize("before", [False, True])
-@pytest.mark.parametrize("fails_at", ["metadata 2", "fsync", "replace 1", "replace 2"])
+@pytest.mark.parametrize("fails_at", ["fsync", "replace 1", "replace 2"])
 def test_graph_and_metadata_appear_together(
     tiny_model: MotionModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails_at: str, before: bool
 ) -> None:
@@ -88,8 +87,7 @@ def test_graph_and_metadata_appear_together(
         return real(*words, **more)
 
     name = fails_at.split()[0]
-    place = onnx_export if name == "metadata" else os
-    monkeypatch.setattr(place, name, partial(full, real=getattr(place, name)))
+    monkeypatch.setattr(os, name, partial(full, real=getattr(os, name)))
     with pytest.raises(MotionkitError, match="No space left"):
         export_onnx(tiny_model, graph)
     left = {path.name for path in tmp_path.iterdir()}
@@ -142,5 +140,5 @@ def test_a_model_that_does_not_move_is_an_error(
     network = replace(tiny_model.network, arrays=arrays)
     save_model(tmp_path / "m.safetensors", replace(tiny_model, network=network))
     done = motionkit("export", "--onnx", "x.onnx", "--model", "m.safetensors")
-    assert done.failed_with("the roll-out failed")
+    assert done.failed_with("has numbers that are NaN, infinite or above 1e+12")
     assert [p.name for p in tmp_path.iterdir()] == ["m.safetensors"]

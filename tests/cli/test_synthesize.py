@@ -151,7 +151,7 @@ def test_a_model_that_is_none(motionkit, tmp_path: Path, content: bytes) -> None
 
 
 def test_a_broken_start_clip(synthesize, tmp_path: Path, broken_folder: Path) -> None:
-    said = synthesize("--types", "idle:0.1", "--init", broken_folder / "nan.bvh")
+    said = synthesize("--types", "idle:0.1", "--init", broken_folder / "nan.bvh", "--strict")
     assert said.failed_with("nan.bvh")
     assert not list(tmp_path.iterdir())
 

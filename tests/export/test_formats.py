@@ -431,7 +431,7 @@ def test_endings_that_are_not_written(walk: Motion, tmp_path: Path, name: str) -
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-@pytest.mark.parametrize("ending", WRITERS)
+@pytest.mark.parametrize("ending", [each for each in WRITERS if each != ".vrm"])  # an avatar's
 @pytest.mark.parametrize("joint", ["LeftForeArm", "LeftLeg", "Neck", "LeftArm", "Spine", "LeftFoot"])
 @pytest.mark.parametrize("length", [0.0, 3e4, 1e6])
 def test_bones_of_any_length_give_finite_numbers_or_one_line(

@@ -17,7 +17,6 @@ from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.files import check_outputs, files_below
 from motionkit.names import about
 from motionkit.reading import reading, strictly, told_animation, told_cm, told_up
-from motionkit.rig.read_file import ENDINGS
 
 _folder_options = together(
     option(
@@ -72,6 +71,7 @@ def folders(source: str, target: str) -> Callable:
 def _run_folder(values: dict[str, Any], source: str, target: str, form: str, jobs: int) -> None:
     """Run the command on every clip of a folder; raises MotionkitError at the end if some failed."""
     from motionkit.data.workers import worker_processes
+    from motionkit.rig.read_file import ENDINGS
 
     folder, out = values[source], values[target]
     if out is None or out == STDOUT:

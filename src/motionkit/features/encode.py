@@ -76,9 +76,7 @@ def encode_motion(
         )
     if len(motion) < 2:
         raise SkeletonError(f"expected at least 2 frames for velocities, found {len(motion)}")
-    reference_rotations = (
-        identity_reference_rotations() if reference_rotations is None else reference_rotations
-    )
+    references = identity_reference_rotations() if reference_rotations is None else reference_rotations
     _, positions = motion_kinematics(motion)
     yaw = heading_angles(positions, motion.fps) if headings is None else headings
     to_heading = quat_from_yaw(-yaw)
@@ -100,7 +98,7 @@ def encode_motion(
         "root_yaw_velocity": _backward(yaw[:, None], motion.fps),
         "root_xz_velocity": rotate_ground(-yaw, velocities[:, 0, [0, 2]]),
         "root_rotation": (quat_to_sixd if columns.root_is_sixd else quat_to_expmap)(root_rotation),
-        "joint_rotations": relative_expmaps(motion.local_rotations[:, 1:], reference_rotations[1:]).reshape(
+        "joint_rotations": relative_expmaps(motion.local_rotations[:, 1:], references[1:]).reshape(
             frames, -1
         ),
         "joint_angular_velocities": angular[:, 1:].reshape(frames, -1),
@@ -108,9 +106,7 @@ def encode_motion(
         "joint_velocities": facing_velocities.reshape(frames, -1),
     }
     if columns.root_is_sixd:  # drop the root's x, z and sideways velocity
-        parts["joint_positions"] = np.concatenate(
-            [parts["joint_positions"][:, 1:2], parts["joint_positions"][:, 3:]], -1
-        )
+        parts["joint_positions"] = np.delete(parts["joint_positions"], (0, 2), axis=-1)
         parts["joint_velocities"] = parts["joint_velocities"][:, 1:]
     features = np.concatenate([parts[name] for name in columns.blocks], axis=-1)
     return EncodedMotion(features, foot_contacts(positions, motion.fps), ground)
