@@ -24,6 +24,7 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.tables import Table
+from motionkit.training.verdict.extents import SPREAD, what_is_off
 from motionkit.training.verdict.judge import GRACE, LIVELY, Judge
 from motionkit.training.verdict.real import PROFILE_SECONDS, SHORTEST, RealMotion
 from motionkit.training.verdict.rolling import Take, commanded_plans, grouped, roll_paths, roll_plans
@@ -157,7 +158,9 @@ def verdict_table(verdicts: list[TypeVerdict]) -> Table:
 def verdict_notes() -> list[str]:
     """Return what the columns of the table mean."""
     return [
-        f"shown: roll-outs within the limits of the type's recordings, after {NEUTRAL_SECONDS:g} s of another type",
+        f"shown: roll-outs within the limits of the type's recordings, after {NEUTRAL_SECONDS:g} s of another type: "
+        "how high and low hands, feet and hips come, speed over the ground and of joints, time in the air, steps, "
+        f"strikes, poses. Limits are what the clips show, widened by {SPREAD:g} times their spread and a margin",
         f"path: mean distance of the root from a figure-eight of {WALK_RADIUS:g} m, for runs of {RUN_RADIUS:g} m; "
         f"to be within {WALKS_WITHIN:g} and {RUNS_WITHIN:g} cm",
         f"sliding: of feet that are held, relative to the recordings; at most {SLIDING:g}",
@@ -195,6 +198,7 @@ def _verdict(
     profile = judge.real.profile(kind)
     assert profile is not None
     late = [body.cut(round(GRACE * body.fps), len(body)) for body in bodies]
+    nearest = [judge.nearest_part(kind, body) for body in bodies]
     recorded = np.average([_sliding(s.body) for s in found], weights=[len(s.body) for s in found])
     gait = model.types[kind].gait
     verdict = TypeVerdict(
@@ -203,12 +207,12 @@ def _verdict(
         sum(stretch.body.seconds for stretch in found),
         sum(judge.performs(kind, body) for body in bodies),
         len(bodies),
-        sum(body.joint_speed() for body in late) / len(late) / max(profile.joint_speed, 1e-6),
+        sum(body.joint_speed() for body in nearest) / len(nearest) / max(profile.joint_speed, 1e-6),
         path,
         RUNS_WITHIN if gait is not None and gait.runs else WALKS_WITHIN,
         float(np.mean([_sliding(body) for body in late]) / max(recorded, 0.02)),
     )
-    return replace(verdict, reasons=reasons_of(verdict, judge, late))
+    return replace(verdict, reasons=reasons_of(verdict, judge, nearest))
 
 
 def _path_distances(
@@ -271,13 +275,15 @@ def _cause(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> str:
     """Why roll-outs of a type that moves enough are not within the limits of its recordings."""
     profile = judge.real.profile(verdict.type)
     assert profile is not None
+    windows = [window for body in bodies for window in detection_windows(body, PROFILE_SECONDS)]
+    if off := what_is_off(profile.extents, windows):
+        return off
     nearest: Counter[str] = Counter()
     far = []
-    for body in bodies:
-        for window in detection_windows(body, PROFILE_SECONDS):
-            distances = judge.real.pose_distances(window).mean(axis=0)
-            nearest[judge.real.types[int(distances.argmin())]] += 1
-            far.append(float(distances[profile.kind]))
+    for window in windows:
+        distances = judge.real.pose_distances(window).mean(axis=0)
+        nearest[judge.real.types[int(distances.argmin())]] += 1
+        far.append(float(distances[profile.kind]))
     other = nearest.most_common(1)[0][0]
     if other != verdict.type:
         return f"its poses are more like {other}"
