@@ -23,6 +23,7 @@ from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.motion.floor import floor_height, foot_positions
+from motionkit.names import counted
 from motionkit.tables import Table
 from motionkit.training.verdict.extents import SPREAD, what_is_off
 from motionkit.training.verdict.judge import GRACE, LIVELY, Judge
@@ -54,6 +55,8 @@ QUICK_TYPES = VerdictSettings()
 # held feet relative to the recordings.
 SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.95, 1.0, 2.0, 1.3
 WALK_RADIUS, RUN_RADIUS = 2.0, 4.0  # metres of the figure-eight
+# Types of docs/training.md that all roll-outs show after so many steps from the bundled model, of MEASURED_TYPES.
+SHOWN_AFTER, MEASURED_TYPES = ((128, 10), (300, 11)), 12
 FEW_SECONDS = 10.0  # recordings of a type shorter than this in all are too few to learn from
 
 
@@ -114,12 +117,12 @@ def quick_verdicts(
     seeds = range(settings.first_seed, settings.first_seed + settings.seeds)
     plans = commanded_plans(model, kinds, seeds, settings.accuracy_seconds)
     report = progress or (lambda share: None)
-    takes = roll_plans(model, plans, settings.noise, each, lambda share: report(0.7 * share))
-    paths = _path_distances(model, kinds, settings, lambda share: report(0.7 + 0.3 * share))
-    verdicts = {
-        kind: _verdict(model, judge, kind, mine, paths.get(kind))
-        for kind, mine in zip(kinds, grouped(takes, settings.seeds), strict=True)
-    }
+    takes = roll_plans(model, plans, settings.noise, each, lambda share: report(0.6 * share))
+    paths = _path_distances(model, kinds, settings, lambda share: report(0.6 + 0.3 * share))
+    verdicts = {}
+    for kind, mine in zip(kinds, grouped(takes, settings.seeds), strict=True):
+        verdicts[kind] = _verdict(model, judge, kind, mine, paths.get(kind))
+        report(0.9 + 0.1 * len(verdicts) / len(kinds))
     real = judge.real
     return [verdicts.get(kind) or _unlearnt(real, kind) for kind in model.types if kind in real.types]
 
@@ -167,7 +170,22 @@ def verdict_notes() -> list[str]:
     ]
 
 
-def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings) -> str:
+def training_told(model: MotionModel) -> str:
+    """How long a model was trained, and what more time has brought elsewhere, in one line."""
+    steps, seconds = model.card.get("steps"), model.card.get("seconds")
+    if not steps or seconds is None:
+        return "how long it was trained is not known"
+    told = f"trained for {counted(steps, 'step')} in {seconds / 60.0:.1f} minutes"
+    begun = (model.card.get("options") or {}).get("init")
+    more = [f"{shown} after {n} steps" for n, shown in SHOWN_AFTER if n > steps]
+    if not begun or not more:
+        return told
+    return (
+        f"{told}; of {MEASURED_TYPES} types of other rigs {' and '.join(more)} were shown (docs/training.md)"
+    )
+
+
+def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings, training: str = "") -> str:
     """The verdicts as Markdown, for someone who has not measured motion before."""
     works = sum(verdict.works for verdict in verdicts)
     lines = [
@@ -176,6 +194,7 @@ def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings) -> str:
         "# Which types work",
         "",
         f"{works} of {len(verdicts)} types work.",
+        *([f"{training[0].upper()}{training[1:]}."] if training else []),
         "",
         *(f"- {verdict.sentence()}" for verdict in verdicts),
         "",
