@@ -212,8 +212,8 @@ def tiny_options() -> Callable[..., TrainOptions]:
 @pytest.fixture
 def unscored(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs end without roll-outs for gains and scores, which take longer than all else of a short run."""
-    monkeypatch.setattr("motionkit.training.outcome.calibrated_gains", lambda *_: {})
-    monkeypatch.setattr("motionkit.training.outcome.score_rollouts", lambda *_: ())
+    monkeypatch.setattr("motionkit.training.outcome.calibrated_gains", lambda *_, **__: {})
+    monkeypatch.setattr("motionkit.training.outcome.score_rollouts", lambda *_, **__: ())
 
 
 @pytest.fixture

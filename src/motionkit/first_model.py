@@ -82,11 +82,12 @@ class Watcher:
 
 @dataclass(frozen=True)
 class QuickstartResult:
-    """The model file, the pictures of its types, and a verdict on each."""
+    """The model file, the pictures of its types, a verdict on each, and how long the model was trained, in words."""
 
     model: Path
     pictures: tuple[Path, ...]
     verdicts: tuple[TypeVerdict, ...]
+    training: str = ""
 
 
 class QuickstartStopped(KeyboardInterrupt):
@@ -158,7 +159,9 @@ def _quickstart(data: Path, target: Path, options: QuickstartOptions, watcher: W
         verdicts = _judge(model, dataset, target, watcher)
     except KeyboardInterrupt as stop:
         raise QuickstartStopped(resumes, isinstance(stop, _TrainingStopped)) from None
-    return QuickstartResult(target / MODEL, tuple(pictures), tuple(verdicts))
+    from motionkit.training.verdict.types import training_told
+
+    return QuickstartResult(target / MODEL, tuple(pictures), tuple(verdicts), training_told(model))
 
 
 # ---- results of an earlier quickstart ----
@@ -343,7 +346,8 @@ def _show(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher) 
         seconds = max(SHOWN_SECONDS, model.phase_seconds(name))
         motions.append(_straight_ahead(synthesis_request(f"{name}:{seconds:g}", model=model).run().motion))
     files = [folder / PAGE, *([folder / SHEET] if find_spec("PIL") else [])]
-    for path in files:
+    for done, path in enumerate(files):
+        watcher.progress(f"drawing {path.name}", done, len(files))
         write_view(path, *motions, names=names)
     return files
 
@@ -357,11 +361,17 @@ def _straight_ahead(motion: Motion) -> Motion:
 def _judge(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher) -> list[TypeVerdict]:
     from motionkit.training.verdict.judge import Judge
     from motionkit.training.verdict.real import RealMotion
-    from motionkit.training.verdict.types import QUICK_TYPES, quick_verdicts, verdict_page
+    from motionkit.training.verdict.types import (
+        QUICK_TYPES,
+        quick_verdicts,
+        training_told,
+        verdict_page,
+    )
 
-    judge = Judge(RealMotion(dataset))
     watch = watcher.progress
+    watch("reading the clips", 0, 1)
+    judge = Judge(RealMotion(dataset))
     verdicts = quick_verdicts(model, judge, QUICK_TYPES, lambda share: watch("judging", 100 * share, 100))
     with atomic_write(folder / VERDICT) as out:
-        out.write(verdict_page(verdicts, QUICK_TYPES))
+        out.write(verdict_page(verdicts, QUICK_TYPES, training_told(model)))
     return verdicts

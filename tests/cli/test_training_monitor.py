@@ -23,7 +23,7 @@ STEP = TrainEvent("step", 1, 2.0, LOSSES, share=0.01)
 def test_lines_say_how_far_how_fast_and_how_long(capsys, tmp_path: Path) -> None:
     monitor = TrainingMonitor(False, train_options("tiny", steps=100), None, tmp_path)
     for share in (0.0, 0.1, 0.5, 0.9):
-        monitor(TrainEvent("prepare", 0, 0.0, {}, share=share))
+        monitor(TrainEvent("stage", 0, 0.0, {}, text="making spliced transitions", share=share))
     monitor(STEP)
     monitor(replace(STEP, kind="log", step=21, seconds=42.0, share=0.21))
     lines = capsys.readouterr().err.splitlines()
@@ -32,6 +32,9 @@ def test_lines_say_how_far_how_fast_and_how_long(capsys, tmp_path: Path) -> None
         "2.6", "3"
     )
     assert len(lines) == 4
+    for name in ("calibrating", "scoring"):
+        monitor(TrainEvent("stage", 100, 2.0, {}, text=name))
+    assert capsys.readouterr().err.splitlines() == ["calibrating: 0 %", "scoring: 0 %"]
 
 
 def test_the_first_line_has_no_rate_and_losses_can_be_left_out(capsys, tmp_path: Path) -> None:

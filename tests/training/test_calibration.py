@@ -151,8 +151,8 @@ def test_noise_of_its_own_is_for_roll_outs_without_references(
 def test_training_ends_with_gains_and_noise_in_the_file(
     dataset_folder: Path, tmp_path: Path, tiny_options: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("motionkit.training.outcome.calibrated_noise", lambda *_: {"cartwheel": 1.21})
-    monkeypatch.setattr("motionkit.training.outcome.calibrated_gains", lambda *_: {"cartwheel": 1.37})
+    monkeypatch.setattr("motionkit.training.outcome.calibrated_noise", lambda *_, **__: {"cartwheel": 1.21})
+    monkeypatch.setattr("motionkit.training.outcome.calibrated_gains", lambda *_, **__: {"cartwheel": 1.37})
     train(dataset_folder, tmp_path / "m.safetensors", tiny_options(steps=1, score_seconds=0.1), device="cpu")
     read = load_model(tmp_path / "m.safetensors").types["cartwheel"].preset
     assert read.noise_alone == 1.21

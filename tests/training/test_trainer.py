@@ -149,7 +149,7 @@ def test_log_lines(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     assert set(lines[2]["scores"]) == set(Dataset(dataset_folder).types)
     score = lines[2]["scores"]["walking"]
     assert set(score) == {"type", "joint_speed", "pose_distance", "slide", "height"}
-    shown = [e.kind for e in seen if e.kind not in ("note", "prepare", "step")]
+    shown = [e.kind for e in seen if e.kind not in ("note", "stage", "step")]
     assert shown == ["log", "log", "checkpoint", "score"]
     assert load_model(path).card["scores"]["walking"] == score
     samples = sorted(p.name for p in (path.with_suffix(".run") / "samples").iterdir())

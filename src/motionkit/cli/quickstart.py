@@ -133,10 +133,18 @@ def _tell(result: QuickstartResult, as_json: bool) -> None:
     verdicts = result.verdicts
     if as_json:
         facts = [asdict(verdict) | {"works": verdict.works} for verdict in verdicts]
-        print_json({"model": result.model, "pictures": result.pictures, "verdicts": facts})
+        print_json(
+            {
+                "model": result.model,
+                "pictures": result.pictures,
+                "training": result.training,
+                "verdicts": facts,
+            }
+        )
         return
     for verdict in verdicts:
         say(verdict.sentence())
+    say(result.training)
     good = sum(verdict.works for verdict in verdicts)
     made = ", ".join(path.name for path in result.pictures)
     say(f"{good} of {len(verdicts)} types work; wrote {result.model}, {made}, {VERDICT}")

@@ -59,7 +59,7 @@ class TrainingMonitor:
         self.began: tuple[int, float] | None = (
             None  # step and seconds of the first event; not zero in a resumed run
         )
-        self.prepared = -1
+        self.told = "", -1  # stage and quarter of the last line about a stage
         self.stopping = ""
 
     def __enter__(self) -> TrainingMonitor:
@@ -87,8 +87,8 @@ class TrainingMonitor:
             return
         if event.kind == "stop":
             self._stop(event)
-        elif event.kind == "prepare":
-            self._prepare(event.share)
+        elif event.kind == "stage":
+            self._stage(event.text, event.share)
         elif event.kind == "note":
             self.console.print(event.text)
         elif event.kind == "score":
@@ -107,13 +107,13 @@ class TrainingMonitor:
         self.stopping = event.text
         os.write(2, f"{os.linesep if self.live else ''}{event.text}{os.linesep}".encode())
 
-    def _prepare(self, share: float) -> None:
+    def _stage(self, name: str, share: float) -> None:
         percent = round(100 * share)
         if self.live is not None:
-            self.live.update(f"making spliced transitions {_bar(share)} {percent} %")
-        elif percent // 25 != self.prepared:
-            self.prepared = percent // 25
-            self.console.print(f"making spliced transitions: {percent} %")
+            self.live.update(f"{name} {_bar(share)} {percent} %")
+        elif (name, percent // 25) != self.told:
+            self.told = name, percent // 25
+            self.console.print(f"{name}: {percent} %")
 
     def _way(self, event: TrainEvent) -> str:
         """Steps done, speed and remaining time."""

@@ -10,7 +10,7 @@ to rest in its mean pose, with too much it shakes.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
@@ -86,7 +86,12 @@ class Manner:
 
 
 def calibrated_gains(
-    model: MotionModel, dataset: Dataset, frames: int, repeats: int = REPEATS, gains: Sequence[float] = GAINS
+    model: MotionModel,
+    dataset: Dataset,
+    frames: int,
+    repeats: int = REPEATS,
+    gains: Sequence[float] = GAINS,
+    progress: Callable[[float], None] | None = None,
 ) -> dict[str, float]:
     """Return the reference gain with which each type with reference clips moves most like its recordings.
 
@@ -96,13 +101,14 @@ def calibrated_gains(
         dataset: has the recordings; types without any are left out.
         frames: length of each roll-out.
         repeats: roll-outs of each type, with successive seeds.
+        progress: called with the finished share, 0 to 1.
     """
     if not model.uses_references:
         return {}
     moved = [kind for kind, known in model.types.items() if kind in dataset.types and known.reference_clips]
     real = recorded_manners(dataset, moved)
     tried = [with_presets(model, "reference_gain", dict.fromkeys(real, gain)) for gain in gains]
-    costs = _costs(tried, real, frames, repeats, JERK_WEIGHT)
+    costs = _costs(tried, real, frames, repeats, JERK_WEIGHT, progress)
     return {kind: _cheapest(gains, found) for kind, found in costs.items()}
 
 
@@ -112,6 +118,7 @@ def calibrated_noise(
     frames: int,
     repeats: int = REPEATS,
     noises: Sequence[float] = NOISES,
+    progress: Callable[[float], None] | None = None,
 ) -> dict[str, float]:
     """Return the noise scale with which each type moves most like its recordings without references.
 
@@ -123,15 +130,24 @@ def calibrated_noise(
     moved = [kind for kind, known in alone.types.items() if kind in dataset.types and known.moves_by_noise]
     real = recorded_manners(dataset, moved)
     tried = [with_presets(alone, "noise_scale", dict.fromkeys(real, noise)) for noise in noises]
-    costs = _costs(tried, real, frames, repeats, JERK_OF_NOISE)
+    costs = _costs(tried, real, frames, repeats, JERK_OF_NOISE, progress)
     return {kind: noises[int(np.argmin(found))] for kind, found in costs.items()}
 
 
 def _costs(
-    tried: Sequence[MotionModel], real: Mapping[str, Manner], frames: int, repeats: int, jerk_weight: float
+    tried: Sequence[MotionModel],
+    real: Mapping[str, Manner],
+    frames: int,
+    repeats: int,
+    jerk_weight: float,
+    progress: Callable[[float], None] | None,
 ) -> dict[str, list[float]]:
     """For each recorded type, the cost of its roll-outs with each of the tried models."""
-    made = [made_manners(model, list(real), frames, repeats) for model in tried]
+    made = []
+    for model in tried:
+        made.append(made_manners(model, list(real), frames, repeats))
+        if progress:
+            progress(len(made) / len(tried))
     return {kind: [each[kind].cost(real[kind], jerk_weight) for each in made] for kind in real}
 
 

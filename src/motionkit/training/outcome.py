@@ -68,10 +68,12 @@ class Outcome:
 
     def _calibrate(self) -> None:
         # Calibration takes many roll-outs, so they have half the length of scored ones.
-        kept, frames = self.beginning.kept, self.frames // 2
-        gains = calibrated_gains(self.model(), self.dataset, frames)
+        kept, frames, stage = self.beginning.kept, self.frames // 2, self.report.stage
+        tell = stage("calibrating reference poses")
+        gains = calibrated_gains(self.model(), self.dataset, frames, progress=tell)
         self.gains = {kind: gain for kind, gain in gains.items() if kind not in kept}
-        noises = calibrated_noise(self.model(), self.dataset, frames)
+        tell = stage("calibrating noise")
+        noises = calibrated_noise(self.model(), self.dataset, frames, progress=tell)
         self.noises = {kind: noise for kind, noise in noises.items() if kind not in kept}
 
     def score(self) -> bool:
@@ -84,5 +86,8 @@ class Outcome:
 
     def _score(self) -> None:
         samples = self.report.folder / "samples"
-        self.scores = score_rollouts(self.model(), self.dataset, self.frames, samples, self.report.note)
+        tell = self.report.stage("scoring")
+        self.scores = score_rollouts(
+            self.model(), self.dataset, self.frames, samples, self.report.note, progress=tell
+        )
         self.report.emit("score", scores=self.scores)

@@ -18,9 +18,10 @@ class TrainEvent:
     """A report of a run.
 
     Attributes:
-        kind: "prepare" while spliced transitions are made, "step" after every step, "log" after some steps, "score",
+        kind: "stage" before and after the steps, "step" after every step, "log" after some steps, "score",
             "checkpoint", "note", or "stop" after Ctrl-C or SIGTERM.
-        share: finished share of the run, or of the preparation, 0 to 1.
+        text: of a note or a stop; of a stage what is done, such as "making spliced transitions".
+        share: finished share of the run, or of the stage, 0 to 1.
     """
 
     kind: str
@@ -61,6 +62,15 @@ class RunReport:
     def note(self, text: str) -> None:
         """Report a line of text."""
         self.emit("note", text)
+
+    def stage(self, name: str) -> Callable[[float], None]:
+        """Begin a stage before or after the steps, and return what reports its finished share, 0 to 1."""
+
+        def tell(share: float) -> None:
+            self.emit("stage", name, share)
+
+        tell(0.0)
+        return tell
 
     def attempt(self, what: str, work: Callable[[], None]) -> bool:
         """Do optional work; an error becomes a note instead of ending hours of training. Returns whether it worked."""

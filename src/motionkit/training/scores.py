@@ -66,6 +66,7 @@ def score_rollouts(
     on_fault: Callable[[str], None] | None = None,
     seed: int = 0,
     noise: Noise | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> tuple[TypeScore, ...]:
     """Return the scores of one roll-out of every type.
 
@@ -73,6 +74,7 @@ def score_rollouts(
         frames: length of the roll-outs.
         samples: folder for one predicted and one recorded BVH file per type; None writes none.
         on_fault: called with a line if a sample cannot be written; without it the error is raised.
+        progress: called with the finished share, 0 to 1.
     """
     rollout = rollout_types(model, frames, seed, noise)
     scores = []
@@ -80,6 +82,8 @@ def score_rollouts(
         real = _real_frames(dataset, i)
         if len(real):
             scores.append(_score(kind, rollout.features[i], real, dataset.layout))
+        if progress:
+            progress((i + 1) / len(model.types))
     if samples is not None:
         try:
             _write_samples(model, dataset, rollout, samples)

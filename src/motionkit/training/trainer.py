@@ -164,7 +164,7 @@ class TrainingRun:
             report.note(
                 f"recordings of {', '.join(self.beginning.repeated)} repeated: they are few and short"
             )
-        self.sampler.make_splices(lambda share: report.emit("prepare", share=share))
+        self.sampler.make_splices(report.stage("making spliced transitions"))
         report.note(f"{len(self.sampler.splices)} spliced transitions")
         self.blocks.resume(at.step)
         for line in beside_the_paper(at.options, len(self.sampler.cuts)):

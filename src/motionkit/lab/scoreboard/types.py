@@ -8,6 +8,7 @@ from motionkit.training.verdict.rolling import Progress
 from motionkit.training.verdict.types import (
     VerdictSettings,
     quick_verdicts,
+    training_told,
     verdict_notes,
     verdict_table,
 )
@@ -23,4 +24,5 @@ def types_section(trial: Trial, progress: Progress) -> Section:
     goals = [
         Goal(f"{v.type} works", float(v.works), "yes", 1.0, None, "; ".join(v.reasons)) for v in verdicts
     ]
-    return Section("types", "Does each type work?", [verdict_table(verdicts)], goals, verdict_notes())
+    notes = [training_told(trial.model), *verdict_notes()]
+    return Section("types", "Does each type work?", [verdict_table(verdicts)], goals, notes)

@@ -52,7 +52,8 @@ class Judge:
 
     Attributes:
         real: the recordings.
-        own_clips: judge every type by the motion profile of its own recordings, without detectors.
+        own_clips: judge every type by the motion profile of its own recordings, without detectors. Then it must also
+            reach as far, go as fast, fly and step as they do.
     """
 
     def __init__(self, real: RealMotion, own_clips: bool = False) -> None:
@@ -91,6 +92,8 @@ class Judge:
             return detector.shows(body)
         profile = self.real.profile(kind)
         assert profile is not None
+        if self.own_clips and not profile.reaches(body):
+            return False
         return profile.shows(body, self.real.pose_distances(body, without).mean(axis=0))
 
     def share(self, kind: str, body: Body) -> float:
@@ -101,14 +104,39 @@ class Judge:
     def performs(self, kind: str, body: Body) -> bool:
         """Whether the motion after a command performs the commanded type.
 
-        A type that is performed once must be detected at least once. Any other type must be detected in
-        a share HOLD of the windows, counted from GRACE seconds after the command. A type judged by its motion
-        profile must also move as fast in the mean as calm or busy recordings do, within LIVELY.
+        A type that is performed once must be detected at least once, in own_clips each type that has a phase. Any
+        other type must be detected in a share HOLD of the windows, counted from GRACE seconds after the command. A
+        type judged by its motion profile must also move as fast in the mean as calm or busy recordings do, within
+        LIVELY.
         """
         if self.window(kind) == 0.0:
             return self.shows(kind, body)
+        if performances := self._performances(kind, body):
+            return any(self.shows(kind, each) for each in performances)
         after = body.cut(round(GRACE * body.fps), len(body))
         return self._lively(kind, after) and self.share(kind, after) >= HOLD
+
+    def nearest_part(self, kind: str, body: Body) -> Body:
+        """Return what is compared with the type's own clips of the motion after a command.
+
+        Of a type that is performed it is the stretch of a clip's length that is most like the clips, of any other all
+        but the first GRACE seconds.
+        """
+        profile = self._profile(kind)
+        performances = self._performances(kind, body)
+        if profile is None or not performances:
+            return body.cut(round(GRACE * body.fps), len(body))
+        return min(performances, key=profile.excess)
+
+    def _performances(self, kind: str, body: Body) -> list[Body]:
+        """Stretches of the length of a type's clips, if it is judged by them and has a phase.
+
+        Around performances a roll-out stands and runs up, which their clips need not show.
+        """
+        profile = self._profile(kind)
+        if not self.own_clips or profile is None or not profile.performance:
+            return []
+        return detection_windows(body, profile.performance)
 
     def _lively(self, kind: str, body: Body) -> bool:
         if kind in self.detectors:

@@ -14,6 +14,7 @@ from motionkit.errors import DatasetError
 from motionkit.metrics.body import Body, body_of
 from motionkit.metrics.detectors import detection_windows
 from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS
+from motionkit.training.verdict.extents import EXTENT_SECONDS, Extent, extents_of
 
 SHORTEST = 24  # frames; stretches below 0.4 s are left out
 BANK_EVERY = 8  # frames between the stored poses of a training clip
@@ -50,6 +51,8 @@ class MotionProfile:
         movements: limits of body movement (bm-euler) in degrees per frame.
         distance: largest mean distance to the nearest recorded pose of the type in cm per joint.
         ratio: largest ratio of that distance to the distance to the nearest pose of any type.
+        extents: reach, speeds, air time and steps of the recorded windows, held-out ones included.
+        performance: length of a usual window in seconds, for a type that has a phase; 0 for one that goes on.
     """
 
     kind: int
@@ -59,6 +62,8 @@ class MotionProfile:
     movements: tuple[float, float]
     distance: float
     ratio: float
+    extents: tuple[Extent, ...]
+    performance: float
 
     @property
     def judges(self) -> bool:
@@ -73,6 +78,14 @@ class MotionProfile:
             return False
         mine = float(distances[self.kind])
         return mine <= self.distance and mine <= self.ratio * max(float(distances.min()), TIE)
+
+    def reaches(self, body: Body) -> bool:
+        """Whether a motion reaches as far, goes as fast, flies and steps as the recordings do, within their margins."""
+        return self.excess(body) == 0.0
+
+    def excess(self, body: Body) -> float:
+        """Return by how much a motion misses the extents, in all."""
+        return sum(extent.excess(extent.measure.of(body)) for extent in self.extents)
 
     def description(self) -> str:
         """Return the limits in words."""
@@ -96,6 +109,7 @@ class RealMotion:
 
     def __init__(self, dataset: Dataset, held_out: str = "test") -> None:
         self.types, self.fps, self.held_out = dataset.types, dataset.fps, held_out
+        self._performed = frozenset(dataset.phase_seconds)
         self.stretches: list[Stretch] = []
         self.training: dict[int, Body] = {}
         self.longest: dict[str, float] = {}
@@ -179,6 +193,7 @@ class RealMotion:
         frames = np.array([float(len(s.body)) for s in found])
         rates = np.array([s.body.joint_speed() for s in found])
         mean = float((frames * rates).sum() / frames.sum())
+        windows = [w for s in self.of_type(kind) for w in detection_windows(s.body, EXTENT_SECONDS)]
         return MotionProfile(
             index,
             mean,
@@ -187,6 +202,8 @@ class RealMotion:
             (SLOWER * _quantile(movements, LOWEST), FASTER * _quantile(movements, HIGHEST)),
             FARTHER * _quantile(distances, HIGHEST),
             max(MIN_RATIO, _quantile(ratios, HIGHEST)),
+            extents_of(windows),
+            float(np.median([w.seconds for w in windows])) if kind in self._performed else 0.0,
         )
 
 

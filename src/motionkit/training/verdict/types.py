@@ -23,7 +23,9 @@ from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.motion.floor import floor_height, foot_positions
+from motionkit.names import counted
 from motionkit.tables import Table
+from motionkit.training.verdict.extents import SPREAD, what_is_off
 from motionkit.training.verdict.judge import GRACE, LIVELY, Judge
 from motionkit.training.verdict.real import PROFILE_SECONDS, SHORTEST, RealMotion
 from motionkit.training.verdict.rolling import Take, commanded_plans, grouped, roll_paths, roll_plans
@@ -53,6 +55,8 @@ QUICK_TYPES = VerdictSettings()
 # held feet relative to the recordings.
 SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.95, 1.0, 2.0, 1.3
 WALK_RADIUS, RUN_RADIUS = 2.0, 4.0  # metres of the figure-eight
+# Types of docs/training.md that all roll-outs show after so many steps from the bundled model, of MEASURED_TYPES.
+SHOWN_AFTER, MEASURED_TYPES = ((128, 10), (300, 11)), 12
 FEW_SECONDS = 10.0  # recordings of a type shorter than this in all are too few to learn from
 
 
@@ -113,12 +117,12 @@ def quick_verdicts(
     seeds = range(settings.first_seed, settings.first_seed + settings.seeds)
     plans = commanded_plans(model, kinds, seeds, settings.accuracy_seconds)
     report = progress or (lambda share: None)
-    takes = roll_plans(model, plans, settings.noise, each, lambda share: report(0.7 * share))
-    paths = _path_distances(model, kinds, settings, lambda share: report(0.7 + 0.3 * share))
-    verdicts = {
-        kind: _verdict(model, judge, kind, mine, paths.get(kind))
-        for kind, mine in zip(kinds, grouped(takes, settings.seeds), strict=True)
-    }
+    takes = roll_plans(model, plans, settings.noise, each, lambda share: report(0.6 * share))
+    paths = _path_distances(model, kinds, settings, lambda share: report(0.6 + 0.3 * share))
+    verdicts = {}
+    for kind, mine in zip(kinds, grouped(takes, settings.seeds), strict=True):
+        verdicts[kind] = _verdict(model, judge, kind, mine, paths.get(kind))
+        report(0.9 + 0.1 * len(verdicts) / len(kinds))
     real = judge.real
     return [verdicts.get(kind) or _unlearnt(real, kind) for kind in model.types if kind in real.types]
 
@@ -157,14 +161,31 @@ def verdict_table(verdicts: list[TypeVerdict]) -> Table:
 def verdict_notes() -> list[str]:
     """Return what the columns of the table mean."""
     return [
-        f"shown: roll-outs within the limits of the type's recordings, after {NEUTRAL_SECONDS:g} s of another type",
+        f"shown: roll-outs within the limits of the type's recordings, after {NEUTRAL_SECONDS:g} s of another type: "
+        "how high and low hands, feet and hips come, speed over the ground and of joints, time in the air, steps, "
+        f"strikes, poses. Limits are what the clips show, widened by {SPREAD:g} times their spread and a margin",
         f"path: mean distance of the root from a figure-eight of {WALK_RADIUS:g} m, for runs of {RUN_RADIUS:g} m; "
         f"to be within {WALKS_WITHIN:g} and {RUNS_WITHIN:g} cm",
         f"sliding: of feet that are held, relative to the recordings; at most {SLIDING:g}",
     ]
 
 
-def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings) -> str:
+def training_told(model: MotionModel) -> str:
+    """How long a model was trained, and what more time has brought elsewhere, in one line."""
+    steps, seconds = model.card.get("steps"), model.card.get("seconds")
+    if not steps or seconds is None:
+        return "how long it was trained is not known"
+    told = f"trained for {counted(steps, 'step')} in {seconds / 60.0:.1f} minutes"
+    begun = (model.card.get("options") or {}).get("init")
+    more = [f"{shown} after {n} steps" for n, shown in SHOWN_AFTER if n > steps]
+    if not begun or not more:
+        return told
+    return (
+        f"{told}; of {MEASURED_TYPES} types of other rigs {' and '.join(more)} were shown (docs/training.md)"
+    )
+
+
+def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings, training: str = "") -> str:
     """The verdicts as Markdown, for someone who has not measured motion before."""
     works = sum(verdict.works for verdict in verdicts)
     lines = [
@@ -173,6 +194,7 @@ def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings) -> str:
         "# Which types work",
         "",
         f"{works} of {len(verdicts)} types work.",
+        *([f"{training[0].upper()}{training[1:]}."] if training else []),
         "",
         *(f"- {verdict.sentence()}" for verdict in verdicts),
         "",
@@ -195,6 +217,7 @@ def _verdict(
     profile = judge.real.profile(kind)
     assert profile is not None
     late = [body.cut(round(GRACE * body.fps), len(body)) for body in bodies]
+    nearest = [judge.nearest_part(kind, body) for body in bodies]
     recorded = np.average([_sliding(s.body) for s in found], weights=[len(s.body) for s in found])
     gait = model.types[kind].gait
     verdict = TypeVerdict(
@@ -203,12 +226,12 @@ def _verdict(
         sum(stretch.body.seconds for stretch in found),
         sum(judge.performs(kind, body) for body in bodies),
         len(bodies),
-        sum(body.joint_speed() for body in late) / len(late) / max(profile.joint_speed, 1e-6),
+        sum(body.joint_speed() for body in nearest) / len(nearest) / max(profile.joint_speed, 1e-6),
         path,
         RUNS_WITHIN if gait is not None and gait.runs else WALKS_WITHIN,
         float(np.mean([_sliding(body) for body in late]) / max(recorded, 0.02)),
     )
-    return replace(verdict, reasons=reasons_of(verdict, judge, late))
+    return replace(verdict, reasons=reasons_of(verdict, judge, nearest))
 
 
 def _path_distances(
@@ -271,13 +294,15 @@ def _cause(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> str:
     """Why roll-outs of a type that moves enough are not within the limits of its recordings."""
     profile = judge.real.profile(verdict.type)
     assert profile is not None
+    windows = [window for body in bodies for window in detection_windows(body, PROFILE_SECONDS)]
+    if off := what_is_off(profile.extents, windows):
+        return off
     nearest: Counter[str] = Counter()
     far = []
-    for body in bodies:
-        for window in detection_windows(body, PROFILE_SECONDS):
-            distances = judge.real.pose_distances(window).mean(axis=0)
-            nearest[judge.real.types[int(distances.argmin())]] += 1
-            far.append(float(distances[profile.kind]))
+    for window in windows:
+        distances = judge.real.pose_distances(window).mean(axis=0)
+        nearest[judge.real.types[int(distances.argmin())]] += 1
+        far.append(float(distances[profile.kind]))
     other = nearest.most_common(1)[0][0]
     if other != verdict.type:
         return f"its poses are more like {other}"
