@@ -46,8 +46,8 @@ def command(
         outputs = Wanted(file, False, as_json, name, alone).files("", [source])
         clip = read_clip(source, clip_name)
         motion = clip.motion if fps is None else resample(clip.motion, fps)
-        motion = root_motion.applied(motion)
         with naming(source):
+            motion = root_motion.applied(motion)
             outputs.write(clip.with_motion(motion))
         joints, frames, took = len(motion.skeleton), len(motion), taken(clip.motion)
         facts = {
