@@ -61,7 +61,7 @@ def read_rig(path: str | Path, map: str | Path | None = None) -> Rig:
     """Read the rig of a BVH, GLB or VRM file, for use with retarget.
 
     Args:
-        path: the file.
+        path: the file, or the name of a built-in rig, such as "@mixamo".
         map: a bone map (JSON); by default joints are recognized by name and shape.
 
     Raises:
@@ -85,7 +85,7 @@ def retarget(
     Args:
         motion: on the 23 canonical joints in cm, the floor at height zero; a result of synthesize or follow_path, whose
             feet are then locked on the rig's body alone; or a BVH file of any human rig.
-        rig: result of read_rig, or a file.
+        rig: result of read_rig, or what it takes.
         ik: keep the rig's feet on the floor, and hold them while those of the motion are in contact.
         clip: BVH file of the rig that animates its other joints (fingers, props); by default they keep their rest pose.
 

@@ -64,3 +64,12 @@ def duration(seconds: float) -> str:
 def about(name: str, text: str) -> str:
     """A message about a file, prefixed with the file's name unless it contains it."""
     return text if name in text else f"{name}: {text}"
+
+
+def unknown_name(what: str, name: str, known: tuple[str, ...]) -> str:
+    """The message for an unknown name, with the nearest known one."""
+    import difflib
+
+    near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.4)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return f"unknown {what} {name!r}{hint} (known: {', '.join(known)})"

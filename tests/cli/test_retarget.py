@@ -17,6 +17,7 @@ from motionkit.errors import MotionkitError
 from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
+from motionkit.rig.built_in import BUILT_IN, rig_file
 from synthetic_motions import make_walk
 from synthetic_rigs import FAMILIES, renamed, walk
 
@@ -251,3 +252,48 @@ def test_a_source_whose_rig_another_file_shows(place: Path) -> None:
     assert "has other joints than the rig other.bvh" in fault(
         "retarget", "my.bvh", "--source-rig", "other.bvh"
     )
+
+
+def test_built_in_rigs_are_listed_and_found(place: Path) -> None:
+    listed = run("synthesize", "--list-rigs")
+    assert listed.exit_code == 0
+    for name, built in BUILT_IN.items():
+        count = len(mk.read_rig(f"@{name}").skeleton)
+        assert f"@{name:8} {count} joints  {built.words}\n" in listed.output
+    result = run("retarget", "walk.bvh", "--rig", "@unreal")
+    assert result.exit_code == 0 and "on unreal.bvh, 53 joints" in result.output
+    assert hierarchy("walk-on-unreal.bvh") == hierarchy(str(rig_file("@unreal")))
+    wrong = run("play", "--rig", "@unreel")
+    assert wrong.exit_code == 2 and "unknown rig '@unreel'; did you mean '@unreal'?" in wrong.output
+
+
+@pytest.mark.parametrize(("fps", "rate"), [((), 30.0), (("--fps", "50"), 50.0)])
+def test_a_built_in_rig_has_the_rate_of_its_readers(place: Path, fps: tuple[str, ...], rate: float) -> None:
+    for words in (("retarget", "walk.bvh"), ("synthesize", "--types", "walking:0.5")):
+        assert run(*words, *fps, "--rig", "@lafan1", "-o", "out.bvh").exit_code == 0
+        assert read_bvh("out.bvh").fps == pytest.approx(rate, rel=1e-4)
+    back = run("retarget", "out.bvh", "--source-rig", "@lafan1", "-o", "back.bvh")
+    assert back.exit_code == 0, back.output
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("retarget", "walk.bvh", "--rig", "@mixamo", "-o"),
+        ("synthesize", "--types", "walking:0.5", "-o"),
+        ("synthesize", "--types", "walking:0.5", "--rig", "my.bvh", "-o"),
+        ("synthesize", "--types", "walking:0.5", "--root", "ground", "-o"),
+        ("convert", "walk.bvh"),
+    ],
+)
+def test_a_rest_frame_is_one_frame_more(place: Path, words: tuple[str, ...]) -> None:
+    """The first frame has no rotations; the others are as without it."""
+    for file, more in (("plain.bvh", ()), ("rest.bvh", ("--rest-frame",))):
+        result = run(*words, file, *more)
+        assert result.exit_code == 0, result.output
+    plain, rest = read_bvh("plain.bvh"), read_bvh("rest.bvh")
+    assert hierarchy("plain.bvh") == hierarchy("rest.bvh")
+    turns = [j for j, name in enumerate(name for names in rest.channels for name in names) if "rot" in name]
+    assert np.abs(rest.values[0, turns]).max() == 0.0
+    apart = (rest.values[1:] - plain.values)[:, turns]
+    assert np.abs(apart - 360.0 * np.round(apart / 360.0)).max() < 1e-3

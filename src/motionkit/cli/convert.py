@@ -47,9 +47,9 @@ def command(
     for clip_name, file in _targets(source, target):
         outputs = Wanted(file, False, as_json, name, alone).files("", [source])
         clip = read_clip(source, clip_name)
-        motion = root_motion.applied(clip.motion)
-        motion = motion if fps is None else resample(motion, fps)
+        motion = clip.motion if fps is None else resample(clip.motion, fps)
         with naming(source):
+            motion = root_motion.applied(motion)
             outputs.write(clip.with_motion(motion))
         joints, frames, took = len(motion.skeleton), len(motion), taken(clip.motion)
         facts = {

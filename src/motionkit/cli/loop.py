@@ -61,8 +61,8 @@ def command(
     source = read_clip(clip)
     with naming(clip, MotionkitError):
         loop = make_loop(source.motion, seconds, from_origin=at_origin)
-    made = root_motion.applied(loop.motion, cyclic=True)
     with naming(clip):
+        made = root_motion.applied(loop.motion, cyclic=True)
         outputs.write(source.with_motion(made))
     outputs.show(lambda: [Shown(outputs.file.stem, made)])
     if note := loop.note(seconds):

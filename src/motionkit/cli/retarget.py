@@ -25,7 +25,16 @@ from motionkit.cli.common import (
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.folders import folders
 from motionkit.cli.outputs import Wanted, animation_options, clip_output_option, shown_name, view_option
-from motionkit.cli.rig_options import RigChoice, clip_option, map_option, open_rig, rig_option
+from motionkit.cli.rig_options import (
+    RIG_FILE,
+    RigChoice,
+    RootMotion,
+    clip_option,
+    map_option,
+    open_rig,
+    rest_frame_option,
+    rig_option,
+)
 from motionkit.names import counted
 
 if TYPE_CHECKING:
@@ -50,6 +59,7 @@ class Rigs:
     save_map: Path | None
     source_rig: Path | None
     source_map: Path | None
+    rest_frame: bool
 
     @property
     def name(self) -> str:
@@ -97,7 +107,7 @@ class Rigs:
 )
 @click.option(
     "--source-rig",
-    type=EXISTING_FILE,
+    type=RIG_FILE,
     help="File that shows the rest pose of the rig of SOURCE, if SOURCE itself does not.",
 )
 @click.option(
@@ -106,11 +116,16 @@ class Rigs:
 @click.option(
     "--scale", type=FiniteRange(1e-4, 1e4), help="Centimetres per unit of SOURCE; detected by default."
 )
-@click.option("--fps", type=FiniteRange(1, 480), help="Frame rate to write; that of SOURCE by default.")
+@click.option(
+    "--fps",
+    type=FiniteRange(1, 480),
+    help="Frame rate to write; that of SOURCE by default, or what the built-in rig's readers expect.",
+)
 @switch(
     "--ik/--no-ik",
     "Put the feet of the rig on the floor and hold them where those of SOURCE stand; --no-ik copies the pose.",
 )
+@rest_frame_option
 @animation_options
 @strict_option
 @view_option
@@ -137,11 +152,11 @@ def command(
     also = [rigs.save_map] if rigs.save_map else []
     outputs = wanted.files(f"{source.stem}-on-{rigs.name}", inputs, also=also)
     motion, report, known = rigs.read(source, choice.rig, scale)
-    if fps is not None:
+    if fps or choice.fps:
         from motionkit.motion.motion import resample
 
-        motion = resample(motion, fps)
-    made = choice.on_rig(motion, ik)
+        motion = resample(motion, fps or choice.fps or motion.fps)
+    made = RootMotion(rest_frame=rigs.rest_frame).applied(choice.on_rig(motion, ik), rig=choice.rig)
     outputs.write(choice.clip_of(made, outputs.file.stem))
     saved = rigs.save(choice.rig or known, source)
     from motionkit.motion.bvh import bvh_to_motion
@@ -153,14 +168,14 @@ def command(
     )
     facts = {
         "file": outputs.file,
-        "frames": len(motion),
+        "frames": len(made),
         "fps": motion.fps,
         "source": {"joints": report.source_joints, "scale": report.scale, "notes": report.notes},
         "rig": None if choice.rig is None else rig_told(choice.rig),
     }
     rig = choice.rig
     on = "the canonical joints" if rig is None else f"{rig.name}, {len(rig.skeleton)} joints"
-    wrote = f"wrote {shown_name(outputs.file)}: {len(motion)} frames at {motion.fps:g} fps on {on}"
+    wrote = f"wrote {shown_name(outputs.file)}: {len(made)} frames at {motion.fps:g} fps on {on}"
     if not wanted.as_json:
         for note in report.notes:
             remark(f"{source.name}: {note}")

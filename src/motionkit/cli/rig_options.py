@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import EXISTING_FILE, gathered, option, strict_option, together
+from motionkit.cli.common import EXISTING_FILE, gathered, option, say, strict_option, together
+from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
     from motionkit.export.clip import Clip
@@ -17,12 +18,46 @@ if TYPE_CHECKING:
     from motionkit.motion.motion import Motion
     from motionkit.rig.rig import Rig
 
-rig_option = click.option(
-    "--rig",
-    "rig_path",
-    type=EXISTING_FILE,
-    help="Write the motion on the rig of this file (.bvh, .glb, .vrm): same joints, names, rest pose, channels, unit "
-    "and axes; by default on the 23 canonical joints. From .glb and .vrm to such a file, the whole character is kept.",
+
+class _RigFile(click.Path):
+    """The file of a rig, or @NAME for a built-in one."""
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        from motionkit.rig.built_in import rig_file
+
+        try:
+            return super().convert(rig_file(value), parameter, context)
+        except MotionkitError as error:
+            self.fail(str(error), parameter, context)
+
+
+def _list_rigs(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        from motionkit.rig.built_in import told_rigs
+
+        for line in told_rigs():
+            say(line)
+        context.exit()
+
+
+RIG_FILE: Any = _RigFile(exists=True, dir_okay=False, path_type=Path)
+rig_option = together(
+    click.option(
+        "--rig",
+        "rig_path",
+        type=RIG_FILE,
+        help="Write the motion on the rig of this file (.bvh, .glb, .vrm): same joints, names, rest pose, channels, "
+        "unit and axes; by default on the 23 canonical joints. From .glb and .vrm to such a file, the whole character "
+        "is kept. @NAME is a built-in rig, such as @mixamo.",
+    ),
+    click.option(
+        "--list-rigs",
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=_list_rigs,
+        help="List the built-in rigs.",
+    ),
 )
 map_option = click.option(
     "--map",
@@ -38,6 +73,11 @@ clip_option = click.option(
     help="BVH file of the --rig: its joints that motionkit does not know (fingers, props) move as they do there; in "
     "their rest pose by default.",
 )
+rest_frame_option = click.option(
+    "--rest-frame",
+    is_flag=True,
+    help="Begin with one frame of the rest pose, as Second Life and older importers expect.",
+)
 root_options = together(
     click.option("--in-place", is_flag=True, help="Remove root motion over the ground; sway and turns stay."),
     option(
@@ -46,25 +86,30 @@ root_options = together(
         default="hips",
         help="Joint with the root motion: the hips, or a new root joint on the ground below them, as engines expect.",
     ),
+    rest_frame_option,
 )
 
 
 @dataclass(frozen=True)
 class RootMotion:
-    """Where root motion is written: in place or not, on the hips or on a ground bone."""
+    """Where root motion is written, in place or not, on the hips or on a ground bone; and whether after a rest pose."""
 
     in_place: bool = False
     root: str = "hips"
+    rest_frame: bool = False
 
-    def applied(self, motion: Motion, cyclic: bool = False) -> Motion:
-        """The motion with its root motion as requested; cyclic means that its last frame equals its first."""
-        if not self.in_place and self.root == "hips":
-            return motion
-        from motionkit.editing.root_motion import in_place, with_ground_root
+    def applied(self, motion: Motion, cyclic: bool = False, rig: Rig | None = None) -> Motion:
+        """The motion of a rig, found by default, as requested; cyclic: its last frame equals its first."""
+        if self.in_place or self.root == "ground":
+            from motionkit.editing.root_motion import in_place, with_ground_root
 
-        if self.in_place:
-            motion = in_place(motion, cyclic)
-        return with_ground_root(motion, cyclic) if self.root == "ground" else motion
+            motion = in_place(motion, cyclic) if self.in_place else motion
+            motion = with_ground_root(motion, cyclic) if self.root == "ground" else motion
+        if self.rest_frame:
+            from motionkit.editing.rest_frame import with_rest_frame
+
+            motion = with_rest_frame(motion, rig)
+        return motion
 
 
 @dataclass(frozen=True)
@@ -76,12 +121,14 @@ class RigChoice:
         clip: motion of the rig from --from, or None.
         files: the files that were read.
         way: how root motion is written.
+        fps: frame rate that readers of the rig expect, if they expect one.
     """
 
     rig: Rig | None = None
     clip: Motion | None = None
     files: tuple[Path, ...] = ()
     way: RootMotion = RootMotion()
+    fps: float | None = None
 
     @property
     def words(self) -> str:
@@ -115,7 +162,7 @@ class RigChoice:
             return self.way.applied(made, cyclic), motion
         from motionkit.rig.on_rig import from_rig
 
-        return self.way.applied(made, cyclic), from_rig(made, self.rig)
+        return self.way.applied(made, cyclic, self.rig), from_rig(made, self.rig)
 
     def clip_of(self, motion: Motion, name: str, types: Sequence[tuple[str, float]] = ()) -> Clip:
         """The clip to write for a motion from put; the file gets what the rig's file has besides motion."""
@@ -131,15 +178,22 @@ def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | Non
             raise click.UsageError(f"{name} needs --rig, the file of the rig")
     if rig_path is None:
         return RigChoice()
+    from motionkit.rig.built_in import rig_rate
     from motionkit.rig.on_rig import read_clip, read_rig
 
     rig = read_rig(rig_path, map_path)
     clip = None if clip_path is None else read_clip(clip_path, rig)
-    return RigChoice(rig, clip, tuple(path for path in (rig_path, map_path, clip_path) if path is not None))
+    files = tuple(path for path in (rig_path, map_path, clip_path) if path is not None)
+    return RigChoice(rig, clip, files, fps=rig_rate(rig_path))
 
 
 def open_written(
-    rig_path: Path | None, map_path: Path | None, clip_path: Path | None, in_place: bool, root: str
+    rig_path: Path | None,
+    map_path: Path | None,
+    clip_path: Path | None,
+    in_place: bool,
+    root: str,
+    rest_frame: bool,
 ) -> RigChoice:
     """Like open_rig, with root motion; raises UsageError for a ground joint on a rig without one."""
     choice = open_rig(rig_path, map_path, clip_path)
@@ -151,7 +205,7 @@ def open_written(
                 f"--root ground adds a joint, and --rig keeps those of its file; {choice.rig.name} has no root bone "
                 "(root, reference) above its hips"
             )
-    return replace(choice, way=RootMotion(in_place, root))
+    return replace(choice, way=RootMotion(in_place, root, rest_frame))
 
 
 rig_options = together(rig_option, map_option, clip_option, strict_option, gathered("choice", open_rig))

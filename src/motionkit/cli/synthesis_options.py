@@ -92,7 +92,7 @@ class Making:
         model = open_model(self.model_path, self.reference)
         noise = make_noise(self.noise, self.temperature, model)
         words: dict[str, Any] = {"model": model, "noise": noise, "seed": self.seed, "init": self.init}
-        return words | {"character": self.character, "ik": self.ik, "fps": self.fps}
+        return words | {"character": self.character, "ik": self.ik, "fps": self.fps or self.choice.fps}
 
 
 synthesis_options: Callable = together(
@@ -113,7 +113,9 @@ synthesis_options: Callable = together(
     reference_option,
     switch("--ik/--no-ik", "Hold feet while they touch the floor; --no-ik writes the raw network output."),
     click.option(
-        "--fps", type=FiniteRange(1, 480), help="Frame rate of the file; the model's 60 by default."
+        "--fps",
+        type=FiniteRange(1, 480),
+        help="Frame rate of the file; the model's 60 by default, and 30 with --rig @lafan1.",
     ),
     written_options,
     animation_options,

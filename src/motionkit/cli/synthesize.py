@@ -152,7 +152,7 @@ def _write(
         )
         outputs.write(making.choice.clip_of(put, file.stem, parts), number)
         shown.append(Shown(file.stem, put, parts))
-        facts = {"file": file, "frames": len(one.motion), "fps": one.motion.fps, "types": parts}
+        facts = {"file": file, "frames": len(put), "fps": one.motion.fps, "types": parts}
         facts |= {"metrics": motion_metrics(measured)}
         seam = cycles[number].seam if cycles else None
         if seam:

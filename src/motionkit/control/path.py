@@ -17,7 +17,7 @@ import numpy as np
 from motionkit.arrays import Array, normalized
 from motionkit.errors import ControlError
 from motionkit.files import parse_json, read_text
-from motionkit.names import nfc
+from motionkit.names import nfc, unknown_name
 
 METRE = 100.0
 SPACING = 2.0  # cm between the points a path is resampled to
@@ -215,8 +215,6 @@ def shape_path(name: str, size: float | None, types: list[str], speed: float | N
     Raises ControlError for an unknown shape, or a size or speed that is not a positive number.
     """
     if name not in SHAPES:
-        from motionkit.models.model import unknown_name
-
         raise ControlError(unknown_name("path shape", name, tuple(SHAPES)))
     metres = DEFAULT_SIZES[name] if size is None else size
     _check_number(metres, "size", 0.2, 1000.0)

@@ -24,7 +24,7 @@ from motionkit.models.motion_type import (
 )
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
-from motionkit.names import nfc
+from motionkit.names import nfc, unknown_name
 
 REFERENCE_CHOICES = ("auto", "none")
 
@@ -183,12 +183,3 @@ class MotionModel:
     def body_scale(self, name: str) -> float:
         """Leg length of a character relative to that of its moved_skeleton; 1 if shows_bodies."""
         return leg_length(self.character(name)) / leg_length(self.moved_skeleton(name))
-
-
-def unknown_name(what: str, name: str, known: tuple[str, ...]) -> str:
-    """The message for an unknown name, with the nearest known one."""
-    import difflib
-
-    near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.4)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return f"unknown {what} {name!r}{hint} (known: {', '.join(known)})"

@@ -14,6 +14,7 @@ from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
+from motionkit.rig.built_in import rig_file
 from motionkit.rig.character import read_character
 from motionkit.rig.map_file import read_rig_map
 from motionkit.rig.pose import map_file
@@ -29,13 +30,15 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
     """Read a rig from a BVH, GLB or VRM file.
 
     Args:
-        path: the file. If the rest pose of a BVH file does not stand, one of its frames must.
+        path: the file, or @NAME for a built-in rig. If the rest pose of a BVH file does not stand, one of its frames
+            must.
         map_path: bone map (rig/map_file.py); by default an avatar's bone table, or names and shape.
 
     Raises:
         MotionkitError: the file or the map cannot be used, or the rig is not a human one.
     """
-    ending = Path(path).suffix.lower()
+    path = rig_file(path)
+    ending = path.suffix.lower()
     if ending in NO_RIGS:
         raise SkeletonError(f"{path}: expected a rig, a .bvh, .glb or .vrm file, found {ending}")
     if not is_gltf(path):

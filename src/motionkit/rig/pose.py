@@ -32,6 +32,7 @@ _BACKWARDS = 0.5  # share of its length by which a foot may point backwards in t
 # Mean cosine between the left-right axes of hips and shoulders below which left and right of one are exchanged.
 _OPPOSED = -0.5
 _STRAIGHT = 0.8  # legs are straight if feet are further below the hips than this share of the leg length
+_POSES = 3  # frames up to which a file shows poses and no motion
 _SAMPLES = 32  # recorded poses from which a rig without known names is mapped
 
 
@@ -105,8 +106,27 @@ def study_rig(
         _check_feet(source, frame)
         differences = rest_differences(source, frame)
     else:
-        differences = posed_differences(source, rotations, positions)
+        differences = _pose_differences(source, rotations, positions)
     return RigPose(source, rotations, positions, up, frame, standing, differences)
+
+
+def _pose_differences(source: SourceRig, rotations: Array, positions: Array) -> Array:
+    """The differences (23, 4) of a rig whose rest pose does not stand: from a pose file's standing pose, or motion."""
+    if len(positions) > _POSES:
+        return posed_differences(source, rotations, positions)
+    parents = [max(parent, 0) for parent in source.skeleton.parents]
+    ends = {
+        joint: tuple(quat_rotate(rotations[0, joint], np.array(end, np.float32)).tolist())
+        for joint, end in source.skeleton.end_sites.items()
+    }
+    offsets = positions[0] - positions[0][parents]
+    posed = replace(source.skeleton, offsets=offsets, end_sites=ends)
+    stood = SourceRig(posed, source.rig, posed.rest_positions())
+    frame = body_frame(stood)
+    if not stands(stood, frame):
+        return posed_differences(source, rotations, positions)
+    turns = [source.rig.turns.get(name, source.rig.places["Hips"]) for name in JOINT_NAMES]
+    return quat_multiply(quat_inverse(rotations[0, turns]), rest_differences(stood, frame))
 
 
 def _turned_up(up: Array, rotations: Array, positions: Array) -> tuple[Array, Array]:

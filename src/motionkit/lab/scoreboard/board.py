@@ -23,7 +23,8 @@ from motionkit.lab.scoreboard.types import types_section
 from motionkit.lab.scoreboard.variety import variety_section
 from motionkit.lab.scoreboard.visible import visible_section
 from motionkit.models.bundled import open_model
-from motionkit.models.model import MotionModel, unknown_name
+from motionkit.models.model import MotionModel
+from motionkit.names import unknown_name
 from motionkit.training.verdict.judge import Judge
 from motionkit.training.verdict.real import RealMotion
 

@@ -7,7 +7,8 @@ from typing import Any
 
 from motionkit.errors import ControlError
 from motionkit.inference.noise import Noise
-from motionkit.models.model import REFERENCE_CHOICES, unknown_name
+from motionkit.models.model import REFERENCE_CHOICES
+from motionkit.names import unknown_name
 from motionkit.training.verdict.types import QUICK_TYPES as VERDICT
 
 # First seed of each split, and the first seed that belongs to it no more. Settings, gains and checkpoints are chosen on
