@@ -5,6 +5,7 @@ an armature selected, motion is made for that rig (`--rig`) and put on it; other
 Install: Edit, Preferences, Add-ons, Install from Disk. The panel is in the sidebar of the 3D view.
 """
 
+import contextlib
 import json
 import math
 import os
@@ -14,9 +15,10 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
-from mathutils import Matrix, Quaternion
+from mathutils import Euler, Matrix, Quaternion, Vector
 
 bl_info = {
     "name": "motionkit",
@@ -32,6 +34,9 @@ CONNECT_SECONDS = 1.0
 PATIENCE = 15.0  # seconds without a frame, after which live mode ends
 RECEIVE_BYTES = 1 << 18  # room for some frames: the server leaves out what we are too slow for
 MOST_BYTES = 1 << 24  # of one line
+LEG = 83.41  # cm, thigh plus shin of motionkit's canonical skeleton
+STILL = 1e-4  # radians
+LINEAR = 1  # the number of this interpolation in keyframes
 TO_Z_UP = Matrix.Rotation(math.pi / 2, 4, "X")  # motionkit has Y up
 
 
@@ -43,7 +48,7 @@ def command_words(command):
 
 
 def run(settings, *words):
-    """Run a motionkit command; raises RuntimeError with its message if it fails."""
+    """Run a motionkit command; returns what it prints; raises RuntimeError with its message if it fails."""
     command = [*command_words(settings.command), *map(str, words)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=600)
@@ -51,6 +56,7 @@ def run(settings, *words):
         raise RuntimeError(f"motionkit cannot be run: {error}") from None
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or ["motionkit failed"])[-1])
+    return done.stdout
 
 
 def selected_armature(context):
@@ -59,74 +65,267 @@ def selected_armature(context):
     return active if active is not None and active.type == "ARMATURE" and active.select_get() else None
 
 
-def make(context, *words):
-    """Run a command that writes a motion and import what it wrote; returns the armature that moves."""
-    settings = context.scene.motionkit
-    target = selected_armature(context)
-    context.scene.render.fps = 60
-    with tempfile.TemporaryDirectory() as folder:
+def make(context, request, begin=True):
+    """Run a command that writes a motion, and put it on the selected armature or import it; returns what moves.
+
+    `request(ground, folder)` gives the words of the command. If `begin`, the motion begins where the armature's hips
+    are at the first frame of the scene; otherwise its own path says where.
+    """
+    scene, target = context.scene, selected_armature(context)
+    settings = scene.motionkit
+    words = ["--seed", settings.seed, "--fps", scene.render.fps / scene.render.fps_base]
+    if settings.model:
+        words += ["--model", bpy.path.abspath(settings.model)]
+    with tempfile.TemporaryDirectory() as folder, at_first_frame(scene):
         if target is None:
             file = Path(folder, "motion.glb")
-            run(settings, *words, "--seed", settings.seed, "-o", file)
-            bpy.ops.import_scene.gltf(filepath=str(file))
+            run(settings, *request(Ground(), folder), *words, "-o", file)
+            bpy.ops.import_scene.gltf(filepath=str(file), bone_heuristic="TEMPERANCE")
             return context.view_layer.objects.active
-        rig, file = Path(folder, "rig.bvh"), Path(folder, "motion.bvh")
-        export_rig(context, target, rig)
-        run(settings, *words, "--seed", settings.seed, "--rig", rig, "-o", file)
-        bpy.ops.import_anim.bvh(filepath=str(file), global_scale=0.01, axis_forward="Y", axis_up="Z")
-    return put_on(context, context.view_layer.objects.active, target)
-
-
-def export_rig(context, target, path):
-    """Write the rest pose of an armature as BVH, in centimetres."""
-    scene = context.scene
-    shown = target.data.pose_position
-    target.data.pose_position = "REST"
-    try:
-        bpy.ops.export_anim.bvh(
-            filepath=str(path),
-            global_scale=100.0,
-            frame_start=scene.frame_start,
-            frame_end=scene.frame_start + 1,
-        )
-    finally:
-        target.data.pose_position = shown
-
-
-def put_on(context, source, target):
-    """Bake the motion of an imported armature onto another one with the same bone names, and remove it."""
-    first, last = (round(frame) for frame in source.animation_data.action.frame_range)
-    for bone in target.pose.bones:
-        if bone.name not in source.pose.bones:
-            continue
-        turn = bone.constraints.new("COPY_ROTATION")
-        turn.target, turn.subtarget = source, bone.name
-        turn.owner_space, turn.target_space = "LOCAL", "LOCAL_OWNER_ORIENT"
-        if bone.parent is None:
-            move = bone.constraints.new("COPY_LOCATION")
-            move.target, move.subtarget = source, bone.name
-    bpy.ops.object.select_all(action="DESELECT")
-    target.select_set(True)
-    context.view_layer.objects.active = target
-    bpy.ops.object.mode_set(mode="POSE")
-    bpy.ops.pose.select_all(action="SELECT")
-    bpy.ops.nla.bake(
-        frame_start=first, frame_end=last, visual_keying=True, clear_constraints=True, bake_types={"POSE"}
-    )
-    bpy.ops.object.mode_set(mode="OBJECT")
-    action = source.animation_data.action
-    bpy.data.objects.remove(source)
-    bpy.data.actions.remove(action)
-    context.scene.frame_end = last
+        rig = ask_rig(settings, target, folder)
+        ground = Ground(target, rig, begin)
+        bare, file = Path(folder, "rig.bvh"), Path(folder, "motion.bvh")
+        bare.write_text(rest_bvh(rig.bones, ground.from_armature), "utf-8")
+        run(settings, *request(ground, folder), *words, "--rig", bare, "-o", file)
+        poses = pose_matrices(rig, ground, joint_matrices(rig.bones, file.read_text("utf-8")), begin)
+        put_on(scene, target, rig, poses, file.stem)
     return target
 
 
-def curve_points(context, curve):
-    """The points of a curve in the world as motionkit's x, z in metres."""
+@contextlib.contextmanager
+def at_first_frame(scene):
+    """Show the first frame of the scene meanwhile."""
+    shown = scene.frame_current
+    scene.frame_set(scene.frame_start)
+    try:
+        yield
+    finally:
+        scene.frame_set(shown)
+
+
+class Rig(NamedTuple):
+    """The bones that motionkit may move, parents first; those of its joints by name; thigh plus shin in their unit."""
+
+    bones: list
+    joints: dict
+    leg: float
+
+
+def ask_rig(settings, target, folder):
+    """The rig of an armature, as motionkit reads it; raises RuntimeError if it is not a human one."""
+    trees = [with_children(bone) for bone in target.data.bones if bone.parent is None]
+    if not trees:
+        raise RuntimeError(f"{target.name} has no bones")
+    bones = max(trees, key=len)
+    bare = Path(folder, f"{bpy.path.clean_name(target.name)}.bvh")
+    bare.write_text(rest_bvh(bones, Matrix.Identity(4)), "utf-8")
+    told = json.loads(run(settings, "retarget", "--rig", bare, "--json"))
+    joints = {name: bone for bone, name in zip(bones, told["joints"].values(), strict=True) if name}
+    return Rig(bones, joints, told["leg"])
+
+
+def with_children(bone):
+    """A bone and all below it, depth first."""
+    return [bone, *(each for child in bone.children for each in with_children(child))]
+
+
+class Ground:
+    """Motionkit's space: cm of a body with its legs, Y up from the ground, from where a motion begins ahead along +Z.
+
+    The ground is the plane through the armature's origin, ahead is where the armature faces in its rest pose, and all
+    moves, turns and scales with the armature's object. Without an armature it is that of the world.
+    """
+
+    def __init__(self, target=None, rig=None, begin=False):
+        """Of an armature, from its hips at the present frame if `begin`, else from its origin."""
+        if target is None:
+            self.from_world = self.from_armature = Matrix.Scale(100.0, 4) @ TO_Z_UP.inverted()
+            return
+        heads = {name: bone.head_local for name, bone in rig.joints.items()}
+        hips, arms = (heads[f"Left{part}"] + heads[f"Right{part}"] for part in ("UpLeg", "Arm"))
+        axis = max(range(3), key=lambda each: abs((arms - hips)[each]))
+        up = Vector([0.0, 0.0, 0.0])
+        up[axis] = math.copysign(1.0, (arms - hips)[axis])
+        ahead = (heads["LeftUpLeg"] - heads["RightUpLeg"]).cross(up).normalized()
+        turn = Matrix((up.cross(ahead), up, ahead)).to_4x4()
+        place = target.pose.bones[rig.joints["Hips"].name].head if begin else Vector()
+        origin = Matrix.Translation(up * place.dot(up) - place)
+        self.from_armature = Matrix.Scale(LEG / rig.leg, 4) @ turn @ origin
+        try:
+            self.from_world = self.from_armature @ target.matrix_world.inverted()
+        except ValueError:
+            raise RuntimeError(f"{target.name} has a scale of zero") from None
+
+    def place(self, point):
+        """A point of the world as motionkit's x, z in metres."""
+        x, _, z = self.from_world @ point
+        return [x / 100.0, z / 100.0]
+
+    def speed(self, speed):
+        """A speed in the world as motionkit's in m/s."""
+        return speed * abs(self.from_world.determinant()) ** (1.0 / 3.0) / 100.0
+
+
+def rest_bvh(bones, to):
+    """The text of a BVH file of bones in the rest pose, turned to the axes of the world, in the space of a matrix."""
+    heads = {bone.name: to @ bone.head_local for bone in bones}
+    frame = []
+
+    def lines(bone):
+        head = heads[bone.name]
+        offset = head - heads[bone.parent.name] if bone.parent else Vector()
+        move = "" if bone.use_connect and bone.parent else "Xposition Yposition Zposition "
+        frame.extend((*(offset if bone.parent else head), 0, 0, 0) if move else (0, 0, 0))
+        yield f"{'JOINT' if bone.parent else 'ROOT'} {bone.name}\n{{\nOFFSET {numbers(offset)}"
+        yield f"CHANNELS {6 if move else 3} {move}Zrotation Yrotation Xrotation"
+        for child in bone.children:
+            yield from lines(child)
+        if not bone.children:
+            yield f"End Site\n{{\nOFFSET {numbers(to @ bone.tail_local - head)}\n}}"
+        yield "}"
+
+    hierarchy = "\n".join(lines(bones[0]))
+    return f"HIERARCHY\n{hierarchy}\nMOTION\nFrames: 1\nFrame Time: 0.04\n{numbers(frame)}\n"
+
+
+def numbers(values):
+    """Numbers as BVH has them."""
+    return " ".join(f"{value:.9g}" for value in values)
+
+
+def joint_matrices(bones, text):
+    """The matrices of the joints by name, for each frame of a BVH file of the hierarchy of rest_bvh."""
+    rows = text.rpartition("\nMOTION\n")[2].splitlines()[2:]
+    offsets = [Vector(map(float, line.split()[1:])) for line in own_offsets(text)]
+    for row in filter(None, rows):
+        values = iter(map(float, row.split()))
+        made = {}
+        for bone, offset in zip(bones, offsets, strict=True):
+            free = not (bone.use_connect and bone.parent)
+            place = Vector([next(values) for _ in range(3)]) if free else offset
+            z, y, x = (math.radians(next(values)) for _ in range(3))
+            own = Matrix.Translation(place) @ Euler((x, y, z)).to_matrix().to_4x4()
+            made[bone.name] = made[bone.parent.name] @ own if bone.parent else own
+        yield made
+
+
+def own_offsets(text):
+    """The OFFSET lines of the joints of a BVH file, without those of End Sites."""
+    lines = [line.strip() for line in text.partition("\nMOTION\n")[0].splitlines()]
+    return [
+        line for at, line in enumerate(lines) if line.startswith("OFFSET ") and lines[at - 2] != "End Site"
+    ]
+
+
+def pose_matrices(rig, ground, frames, begin):
+    """The basis matrices of the bones by name for each frame; if `begin`, the hips begin where they were."""
+    at_rest = {bone.name: ground.from_armature @ bone.matrix_local for bone in rig.bones}
+    back, start, out = ground.from_armature.inverted(), None, []
+    for joints in frames:
+        if start is None:
+            x, _, z = joints[rig.joints["Hips"].name].translation if begin else Vector()
+            start = back @ Matrix.Translation((-x, 0.0, -z))
+        posed, basis = {}, {}
+        for bone in rig.bones:
+            rest, above = at_rest[bone.name], bone.parent
+            turned = start @ joints[bone.name] @ Matrix.Translation(-rest.translation) @ rest
+            posed[bone.name] = turned
+            own = (
+                {}
+                if above is None
+                else {"parent_matrix": posed[above.name], "parent_matrix_local": above.matrix_local}
+            )
+            basis[bone.name] = bone.convert_local_to_pose(turned, bone.matrix_local, invert=True, **own)
+        out.append(basis)
+    return out
+
+
+def put_on(scene, target, rig, poses, name):
+    """Give an armature a new action with basis matrices of its bones for each frame, from the first of the scene."""
+    tracks = bone_tracks(target, rig, poses)
+    data = target.animation_data or target.animation_data_create()
+    if data.use_tweak_mode:
+        raise RuntimeError(f"{target.name}: leave the tweak mode of the NLA editor first")
+    data.action = action = bpy.data.actions.new(name)
+    for (bone, path), values in tracks.items():
+        where = f'pose.bones["{bpy.utils.escape_identifier(bone)}"].{path}'
+        for index, column in enumerate(zip(*values, strict=True)):
+            points = new_curve(action, target, where, index, bone).keyframe_points
+            points.add(len(column))
+            pairs = [number for at, value in enumerate(column) for number in (scene.frame_start + at, value)]
+            points.foreach_set("co", pairs)
+            points.foreach_set("interpolation", [LINEAR] * len(column))
+    scene.frame_end = max(scene.frame_end, scene.frame_start + len(poses) - 1)
+
+
+def new_curve(action, target, path, index, group):
+    """A curve of an action that an armature has; Blender 5 has curves in slots only."""
+    if hasattr(action, "fcurve_ensure_for_datablock"):
+        return action.fcurve_ensure_for_datablock(target, path, index=index, group_name=group)
+    return action.fcurves.new(path, index=index, action_group=group)
+
+
+def bone_tracks(target, rig, poses):
+    """The values of each frame, by bone and property. Bones that rest and carry no joint of motionkit have none."""
+    near = 1e-4 * rig.leg
+    turning, moving = {bone.name for bone in rig.joints.values()}, set()
+    for basis in poses:
+        for name, matrix in basis.items():
+            if matrix.to_quaternion().angle > STILL:
+                turning.add(name)
+            if matrix.translation.length > near:
+                moving.add(name)
+    out = {}
+    for bone in rig.bones:
+        below = {each.name for each in with_children(bone)}
+        own = [basis[bone.name] for basis in poses]
+        if not below.isdisjoint(turning):
+            mode = target.pose.bones[bone.name].rotation_mode
+            path, values = turns([matrix.to_quaternion() for matrix in own], mode)
+            out[bone.name, path] = values
+        if not below.isdisjoint(moving) and not (bone.use_connect and bone.parent):
+            out[bone.name, "location"] = [matrix.translation for matrix in own]
+    return out
+
+
+def turns(quaternions, mode):
+    """Rotations as the property of a bone's rotation mode and its values, without leaps."""
+    before, out = None, []
+    for turn in quaternions:
+        if mode in ("QUATERNION", "AXIS_ANGLE"):
+            if before is not None:
+                turn.make_compatible(before)
+            before = turn
+            axis, angle = turn.to_axis_angle()
+            out.append(turn if mode == "QUATERNION" else (angle, *axis))
+        else:
+            before = turn.to_euler(mode) if before is None else turn.to_euler(mode, before)
+            out.append(before)
+    return {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}.get(
+        mode, "rotation_euler"
+    ), out
+
+
+def curve_points(context, curve, ground):
+    """The points of a curve on the ground."""
     evaluated = curve.evaluated_get(context.evaluated_depsgraph_get())
-    points = [curve.matrix_world @ vertex.co for vertex in evaluated.to_mesh().vertices]
+    points = [ground.place(curve.matrix_world @ vertex.co) for vertex in evaluated.to_mesh().vertices]
     evaluated.to_mesh_clear()
-    return [[point.x, -point.y] for point in points]
+    return points
+
+
+def marker_keys(scene, ground):
+    """Keys for motionkit: at each timeline marker that has the name of an object, the hips are over that object."""
+    rate = scene.render.fps / scene.render.fps_base
+    places = [(mark.frame, scene.objects.get(mark.name)) for mark in scene.timeline_markers]
+    keys = [
+        {"time": (frame - scene.frame_start) / rate, "position": ground.place(item.matrix_world.translation)}
+        for frame, item in sorted(places, key=lambda place: place[0])
+        if item is not None
+    ]
+    if not keys:
+        raise RuntimeError("no timeline marker has the name of an object; give one the name of an empty")
+    return {"keys": keys}
 
 
 class Settings(bpy.types.PropertyGroup):
@@ -140,11 +339,22 @@ class Settings(bpy.types.PropertyGroup):
     types: bpy.props.StringProperty(
         name="Types", default="running,cartwheel", description="Motion types, such as running:4,cartwheel"
     )
+    model: bpy.props.StringProperty(
+        name="Model", subtype="FILE_PATH", description="Model file of your own; the bundled model by default"
+    )
     seed: bpy.props.IntProperty(name="Seed", default=0, min=0)
+    loop: bpy.props.BoolProperty(name="Loop", description="One closed cycle of a gait or dance")
+    markers: bpy.props.BoolProperty(
+        name="Keys from markers",
+        description="Be over an object at the time of each timeline marker that has the object's name",
+    )
     curve: bpy.props.PointerProperty(
         name="Curve", type=bpy.types.Object, poll=lambda self, item: item.type == "CURVE"
     )
     gait: bpy.props.StringProperty(name="Gait", default="walking", description="Motion type along the curve")
+    speed: bpy.props.FloatProperty(
+        name="Speed", min=0.0, description="Along the curve, m/s; 0 is the type's own"
+    )
     port: bpy.props.IntProperty(
         name="Port", default=8643, description="That of motionkit play --tcp", min=1, max=65535
     )
@@ -172,7 +382,17 @@ class MOTIONKIT_OT_synthesize(Work):
     bl_label = "Synthesize"
 
     def work(self, context):
-        return make(context, "synthesize", "--types", context.scene.motionkit.types)
+        settings = context.scene.motionkit
+
+        def request(ground, folder):
+            words = ["synthesize", "--types", settings.types, *(["--loop"] if settings.loop else [])]
+            if settings.markers:
+                keys = Path(folder, "keys.json")
+                keys.write_text(json.dumps(marker_keys(context.scene, ground)))
+                words += ["--keys", keys]
+            return words
+
+        return make(context, request)
 
 
 class MOTIONKIT_OT_follow_curve(Work):
@@ -185,11 +405,17 @@ class MOTIONKIT_OT_follow_curve(Work):
         settings = context.scene.motionkit
         if settings.curve is None:
             raise RuntimeError("choose a curve to follow")
-        part = {"type": settings.gait, "points": curve_points(context, settings.curve)}
-        with tempfile.TemporaryDirectory() as folder:
+
+        def request(ground, folder):
+            points = curve_points(context, settings.curve, ground)
+            part = {"type": settings.gait, "points": points}
+            if settings.speed:
+                part["speed"] = ground.speed(settings.speed)
             path = Path(folder, "path.json")
             path.write_text(json.dumps({"parts": [part]}))
-            return make(context, "follow-path", path)
+            return ["follow-path", path]
+
+        return make(context, request, begin=False)
 
 
 def pose(armature, skeleton, character):
@@ -353,11 +579,11 @@ class MOTIONKIT_PT_panel(bpy.types.Panel):
 
     def draw(self, context):
         settings = context.scene.motionkit
-        for name in ("command", "types", "seed"):
+        for name in ("command", "model", "seed", "types", "loop", "markers"):
             self.layout.prop(settings, name)
         self.layout.operator("motionkit.synthesize")
-        self.layout.prop(settings, "curve")
-        self.layout.prop(settings, "gait")
+        for name in ("curve", "gait", "speed"):
+            self.layout.prop(settings, name)
         self.layout.operator("motionkit.follow_curve")
         self.layout.prop(settings, "port")
         self.layout.operator("motionkit.live")
