@@ -96,6 +96,45 @@ class MotionProfile:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _PoseBank:
+    """Poses of training clips, those of one type side by side.
+
+    Attributes:
+        centre: (D,) their mean; around it, squared distances are exact enough in float32, which takes half the time.
+        poses, squares: (N, D) around the centre, and (N,) their squares.
+        clips: (N,) clip number of each.
+        edges: where each type begins, and the end.
+    """
+
+    centre: Array
+    poses: Array
+    squares: Array
+    clips: Array
+    edges: list[int]
+
+    @classmethod
+    def of(cls, poses: Array, kinds: Array, clips: Array, types: int) -> _PoseBank:
+        """Return the bank of poses (N, D) with their type ids and clip numbers (N,)."""
+        order = np.argsort(kinds, kind="stable")
+        centre = poses[order].mean(axis=0).astype(np.float32)
+        around = np.ascontiguousarray(poses[order] - centre, np.float32)
+        edges = [0, *np.cumsum(np.bincount(kinds, minlength=types), 0).tolist()]
+        return cls(centre, around, np.square(around).sum(axis=1), clips[order], edges)
+
+    def distances(self, poses: Array, without: int) -> Array:
+        """Return distances (T, types) in cm per joint of poses (T, D) to the nearest of each type, but of one clip."""
+        wanted = poses.astype(np.float32) - self.centre
+        squares = np.square(wanted).sum(axis=1)[:, None] + self.squares - 2.0 * (wanted @ self.poses.T)
+        distances = np.sqrt(np.maximum(squares, 0.0)) / np.float32(JOINT_COUNT**0.5)
+        distances[:, self.clips == without] = np.inf
+        out = np.full((len(distances), len(self.edges) - 1), np.inf, np.float32)
+        for kind, (start, end) in enumerate(pairwise(self.edges)):
+            if end > start:
+                out[:, kind] = distances[:, start:end].min(axis=1)
+        return out
+
+
 class RealMotion:
     """The recordings of a dataset. A mirrored copy in the split of its recording counts as training poses only.
 
@@ -139,14 +178,9 @@ class RealMotion:
                 clips.append(np.full(2 * len(some), number))
         if not poses:
             raise DatasetError(f"{dataset.folder}: the dataset has no training clips to compare with")
-        order = np.argsort(np.concatenate(kinds), kind="stable")
-        bank, self._clips = np.concatenate(poses)[order], np.concatenate(clips)[order]
-        # Around their mean, squared distances of near poses are exact enough in float32, which takes half the time.
-        self._centre = bank.mean(axis=0).astype(np.float32)
-        self._poses = np.ascontiguousarray(bank - self._centre, np.float32)
-        self._squares = np.square(self._poses).sum(axis=1)
-        counts = np.bincount(np.concatenate(kinds), minlength=len(self.types))
-        self._edges = [0, *np.cumsum(counts, 0).tolist()]
+        self._bank = _PoseBank.of(
+            np.concatenate(poses), np.concatenate(kinds), np.concatenate(clips), len(self.types)
+        )
         self._profiles: dict[str, MotionProfile | None] = {}
 
     def of_type(self, kind: str, split: str | None = None) -> list[Stretch]:
@@ -161,15 +195,7 @@ class RealMotion:
         Args:
             without: number of a clip whose poses are left out.
         """
-        wanted = body.poses(POSE_EVERY).astype(np.float32) - self._centre
-        squares = np.square(wanted).sum(axis=1)[:, None] + self._squares - 2.0 * (wanted @ self._poses.T)
-        distances = np.sqrt(np.maximum(squares, 0.0)) / np.float32(JOINT_COUNT**0.5)
-        distances[:, self._clips == without] = np.inf
-        out = np.full((len(distances), len(self.types)), np.inf, np.float32)
-        for kind, (start, end) in enumerate(pairwise(self._edges)):
-            if end > start:
-                out[:, kind] = distances[:, start:end].min(axis=1)
-        return out
+        return self._bank.distances(body.poses(POSE_EVERY), without)
 
     def profile(self, kind: str) -> MotionProfile | None:
         """Return the motion profile of a type; None for a type without training clips."""
