@@ -55,7 +55,8 @@ def run(settings, *words):
     except (OSError, subprocess.TimeoutExpired) as error:
         raise RuntimeError(f"motionkit cannot be run: {error}") from None
     if done.returncode:
-        raise RuntimeError((done.stderr.strip().splitlines() or ["motionkit failed"])[-1])
+        said = (done.stderr.strip().splitlines() or ["motionkit failed"])[-1]
+        raise RuntimeError(said.removeprefix("error: ").removeprefix("Error: "))
     return done.stdout
 
 

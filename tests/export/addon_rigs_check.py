@@ -194,7 +194,7 @@ def loop():
 
 
 found = {
-    "walks": {kind: [walk(kind, place) for place in (Matrix.Identity(4), MOVED, TURN)] for kind in IMPORTS},
+    "walks": {kind: [walk(kind, place) for place in (Matrix.Identity(4), MOVED @ TURN)] for kind in IMPORTS},
     "beginnings": begins_where_the_clip_began(),
     "faults": failures(),
     "curve": along_a_curve(),

@@ -225,12 +225,12 @@ def test_a_vrm_animation_moves_an_avatar_of_another_size(
 # ---- Blender ----
 
 
-def blender(*words: object) -> str:
-    """The output of a script that a Python with bpy runs."""
+def blender(*words: object, seconds: float = 170.0) -> str:
+    """The output of a script that a Python with bpy runs for at most so many seconds."""
     python = os.environ.get("MOTIONKIT_BPY")
     if not python:
         lacking("MOTIONKIT_BPY names no Python that has bpy")
-    done = subprocess.run([python, *map(str, words)], capture_output=True, text=True, timeout=170)
+    done = subprocess.run([python, *map(str, words)], capture_output=True, text=True, timeout=seconds)
     assert done.returncode == 0, done.stderr + done.stdout
     return done.stdout
 
@@ -258,18 +258,79 @@ def test_the_fbx_recipe(files: Path, place: Array, motion: Motion, tmp_path: Pat
     assert found["place"] == pytest.approx(place, abs=5e-3)
 
 
-def test_the_blender_add_on(tmp_path: Path) -> None:
+ADD_ON = HERE.parents[1] / "integrations" / "blender" / "motionkit_blender.py"
+SAMPLE = HERE.parents[1] / "examples" / "data" / "16_45.bvh"
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> Path:
+    """This motionkit as a command."""
+    path = tmp_path / "motionkit"
+    path.write_text(
+        f'#!/bin/sh\nPYTHONPATH={HERE.parents[1] / "src"} exec {sys.executable} -m motionkit "$@"\n'
+    )
+    path.chmod(0o755)
+    return path
+
+
+def test_the_blender_add_on(command: Path) -> None:
     """As the panel does: a new body, motion on a rig of another shape, along a curve, a frame of the socket."""
-    root = HERE.parents[1]
-    command = tmp_path / "motionkit"
-    command.write_text(f'#!/bin/sh\nPYTHONPATH={root / "src"} exec {sys.executable} -m motionkit "$@"\n')
-    command.chmod(0o755)
-    rig = root / "examples" / "data" / "16_45.bvh"
-    words = (root / "integrations" / "blender" / "motionkit_blender.py", command, rig)
-    lines = blender(HERE / "addon_check.py", *words).splitlines()
+    lines = blender(HERE / "addon_check.py", ADD_ON, command, SAMPLE).splitlines()
     found = json.loads(next(line for line in lines if line.startswith("RESULT "))[7:])
-    assert found["new body"]["bones"] == 23 and found["new body"]["frames"] == 60
+    assert found["new body"]["bones"] == 23 and found["new body"]["frames"] == 24
     assert found["own rig"]["bones"] == 31 and 0.8 < found["own rig"]["way"] < 2.0
-    assert found["curve"]["frames"] > 300 and found["curve"]["way"] < 1.0
+    assert found["curve"]["frames"] > 120 and found["curve"]["way"] < 1.0
     assert found["live"] < 1e-3
     assert "unknown motion type 'flying'" in found["fault"]
+
+
+def test_the_blender_add_on_works_in_the_armatures_own_space(
+    files: Path, command: Path, tmp_path: Path
+) -> None:
+    """On armatures as importers make them, as they are, and moved, turned, laid down and scaled by 1.2."""
+    words = (HERE / "addon_rigs_check.py", ADD_ON, command, SAMPLE, files / "a.glb", tmp_path)
+    lines = blender(*words, seconds=600.0).splitlines()
+    found = json.loads(next(line for line in lines if line.startswith("RESULT "))[7:])
+    for walks in found["walks"].values():
+        rest, (heads, again) = np.array(walks[0]["rest"]), np.array([walk["heads"] for walk in walks])
+        assert len(heads) == 60 and again == pytest.approx(heads, abs=1e-5)
+        assert heads[0, 0, :2] == pytest.approx(rest[0, :2], abs=1e-4)  # the hips, where they were
+        assert heads[-1, 0, 1] - heads[0, 0, 1] < -2.0 and np.abs(heads[:, 0, 0]).max() < 0.2  # ahead
+        assert 0.02 < heads[:, 1:3, 2].min() < 0.04  # joints of toes, m
+    truth = subprocess.run(
+        [
+            command,
+            "synthesize",
+            "--types",
+            "walking:2",
+            "--rig",
+            SAMPLE,
+            "--fps",
+            "30",
+            "-o",
+            tmp_path / "a.npz",
+        ],
+        capture_output=True,
+    )
+    assert truth.returncode == 0
+    with np.load(tmp_path / "a.npz") as made:
+        names = [*made["joints"]]
+        told = ("Hips", "LeftToeBase", "RightToeBase", "Head", "LeftHand")
+        places = made["positions"][:, [names.index(name) for name in told]] / 100.0
+    places = np.stack([places[..., 0], -places[..., 2], places[..., 1]], -1)
+    off = np.array(found["walks"]["bvh"][0]["heads"]) - places
+    assert np.abs(off[..., 2]).max() < 0.01 and np.abs(off[..., :2] - off[0, 0, :2]).max() < 1e-3
+    clip, first, second = np.array(found["beginnings"])
+    assert first[0, :2] == pytest.approx(clip[0, :2], abs=1e-4) and second == pytest.approx(first, abs=1e-4)
+    for fault, words in zip(
+        found["faults"],
+        ("unknown motion type", "'--model'", "timeline marker", "scale of zero", "LeftUpLeg"),
+        strict=True,
+    ):
+        assert words in fault
+    hips = np.array(found["curve"])[:, 0]
+    assert np.hypot(hips[:, 0] - 1.0, hips[:, 1] - 2.0) == pytest.approx(2.0, abs=0.05)
+    assert np.linalg.norm(np.diff(hips[:, :2], axis=0), axis=1).mean() * 30 == pytest.approx(1.2, abs=0.1)
+    assert found["marker"] < 0.1
+    first, last = np.array(found["loop"])
+    assert last == pytest.approx(first, abs=0.05)

@@ -14,6 +14,7 @@ from unittest.mock import MagicMock
 
 import pytest
 
+from motionkit.motion.skeleton import canonical_skeleton, leg_length
 from motionkit.play.limits import Limits
 from play.conftest import PATIENCE
 
@@ -233,3 +234,7 @@ def test_the_operator_says_where_nothing_listens(addon: ModuleType, monkeypatch:
     assert made.began == {"CANCELLED"}
     ((_, said), _) = made.report.call_args
     assert said.startswith(f"no motionkit play --tcp {port}: ")
+
+
+def test_the_length_of_canonical_legs(addon: ModuleType) -> None:
+    assert addon.LEG == pytest.approx(leg_length(canonical_skeleton()), abs=0.01)
