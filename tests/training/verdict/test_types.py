@@ -71,6 +71,6 @@ def test_a_verdict_is_plain(changes: dict, works: bool) -> None:
     row = verdict_table([verdict]).rows[0]
     assert row[:3] == ("walk", "works" if works else "does not work", "8 of 8")
     page = verdict_page([verdict, GOOD], QUICK_TYPES)
-    assert "# Which types work\n" in page and f"- {verdict.sentence()}\n" in page
+    assert "\n# Which types work\n" in page and f"- {verdict.sentence()}\n" in page
     assert f"{1 + works} of 2 types work" in page and "8 roll-outs of 6 s" in page
     assert not any(word in page for word in ("Scoreboard", "split", "mixed_seconds", "Targets", "measured"))
