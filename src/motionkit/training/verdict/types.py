@@ -55,8 +55,7 @@ QUICK_TYPES = VerdictSettings()
 # held feet relative to the recordings.
 SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.95, 1.0, 2.0, 1.3
 WALK_RADIUS, RUN_RADIUS = 2.0, 4.0  # metres of the figure-eight
-# Types of docs/training.md that all roll-outs show after so many steps from the bundled model, of MEASURED_TYPES.
-SHOWN_AFTER, MEASURED_TYPES = ((128, 10), (300, 11)), 12
+FEW_STEPS = 300  # of a run from a model; docs/training.md shows what so many bring
 FEW_SECONDS = 10.0  # recordings of a type shorter than this in all are too few to learn from
 
 
@@ -177,12 +176,7 @@ def training_told(model: MotionModel) -> str:
         return "how long it was trained is not known"
     told = f"trained for {counted(steps, 'step')} in {seconds / 60.0:.1f} minutes"
     begun = (model.card.get("options") or {}).get("init")
-    more = [f"{shown} after {n} steps" for n, shown in SHOWN_AFTER if n > steps]
-    if not begun or not more:
-        return told
-    return (
-        f"{told}; of {MEASURED_TYPES} types of other rigs {' and '.join(more)} were shown (docs/training.md)"
-    )
+    return f"{told}; docs/training.md shows what {FEW_STEPS} bring" if begun and steps < FEW_STEPS else told
 
 
 def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings, training: str = "") -> str:
