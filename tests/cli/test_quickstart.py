@@ -7,6 +7,7 @@ import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -173,7 +174,7 @@ def test_types_that_do_not_work_are_not_suggested(
     good = TypeVerdict('a "walk"', 9, 40.0, 8, 8, 1.0, 0.4, 1.0, 0.6)
     bad = replace(good, type="bad", reasons=("shown in 1 of 8 roll-outs",))
     lost = replace(good, type="lost", rollouts=0, reasons=("there are no clips to learn from",))
-    monkeypatch.setattr(first_model, "_train", lambda *_: None)
+    monkeypatch.setattr(first_model, "_train", lambda *_: SimpleNamespace(card={"steps": 3, "seconds": 60.0}))
     monkeypatch.setattr(first_model, "_show", lambda *_: [])
     for verdicts, suggested in (([lost, bad, good], 'a "walk"'), ([lost, bad], "bad"), ([lost], None)):
         monkeypatch.setattr(first_model, "_judge", lambda *_, found=verdicts: found)
