@@ -85,7 +85,7 @@ def test_the_model_is_written_before_the_score_and_a_failed_score_is_a_note(
     path = tmp_path / "m.safetensors"
     there: list[bool] = []
 
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         there.append(path.is_file())
         raise RuntimeError("no such\nthing")
 

@@ -122,13 +122,13 @@ class _PoseBank:
         edges = [0, *np.cumsum(np.bincount(kinds, minlength=types), 0).tolist()]
         return cls(centre, around, np.square(around).sum(axis=1), clips[order], edges)
 
-    def distances(self, poses: Array, without: int) -> Array:
+    def distances(self, poses: Array, without: int, types: int) -> Array:
         """Return distances (T, types) in cm per joint of poses (T, D) to the nearest of each type, but of one clip."""
         wanted = poses.astype(np.float32) - self.centre
         squares = np.square(wanted).sum(axis=1)[:, None] + self.squares - 2.0 * (wanted @ self.poses.T)
         distances = np.sqrt(np.maximum(squares, 0.0)) / np.float32(JOINT_COUNT**0.5)
         distances[:, self.clips == without] = np.inf
-        out = np.full((len(distances), len(self.edges) - 1), np.inf, np.float32)
+        out = np.full((len(distances), types), np.inf, np.float32)
         for kind, (start, end) in enumerate(pairwise(self.edges)):
             if end > start:
                 out[:, kind] = distances[:, start:end].min(axis=1)
@@ -195,7 +195,7 @@ class RealMotion:
         Args:
             without: number of a clip whose poses are left out.
         """
-        return self._bank.distances(body.poses(POSE_EVERY), without)
+        return self._bank.distances(body.poses(POSE_EVERY), without, len(self.types))
 
     def profile(self, kind: str) -> MotionProfile | None:
         """Return the motion profile of a type; None for a type without training clips."""
