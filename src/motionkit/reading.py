@@ -59,6 +59,12 @@ def told_animation() -> str | None:
     return _manner.get().animation
 
 
+def manner() -> dict[str, Any]:
+    """The present arguments of reading(), but for the listener: what another process needs to read alike."""
+    given = vars(_manner.get())
+    return {name: value for name, value in given.items() if name != "hear"}
+
+
 def tell(path: str | Path, notes: tuple[str, ...]) -> None:
     """Say in one line what was settled in a file; a Python warning unless a caller listens."""
     if notes:

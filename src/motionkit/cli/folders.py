@@ -16,7 +16,7 @@ from motionkit.cli.outputs import FORMATS, STDOUT, checked_ending
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.files import check_outputs, files_below
 from motionkit.names import about
-from motionkit.reading import reading, strictly, told_animation, told_cm, told_up
+from motionkit.reading import manner, reading
 
 _folder_options = together(
     option(
@@ -40,10 +40,7 @@ class _Job(NamedTuple):
 
     module: str
     values: dict[str, Any]
-    strict: bool
-    up: str | None
-    cm: float | None
-    animation: str | None
+    manner: dict[str, Any]
 
 
 def folders(source: str, target: str) -> Callable:
@@ -84,10 +81,9 @@ def _run_folder(values: dict[str, Any], source: str, target: str, form: str, job
     places = [(out / path.relative_to(folder)).with_suffix(f".{form}") for path in found]
     check_outputs(places, found)
     module = importlib.import_module("motionkit.cli.main").COMMANDS[click.get_current_context().info_name]
-    manner = (strictly(), told_up(), told_cm(), told_animation())
     single = values | {"as_json": True, **({"view": False} if "view" in values else {})}
     items = [
-        _Job(module, single | {source: path, target: place, "jobs": 1, "form": form}, *manner)
+        _Job(module, single | {source: path, target: place, "jobs": 1, "form": form}, manner())
         for path, place in zip(found, places, strict=True)
     ]
     failed: list[dict[str, Any]] = []
@@ -118,7 +114,7 @@ def _run_one(job: _Job) -> tuple[str, list[str]]:
         Path(os.devnull).open("w") as nothing,
         redirect_stdout(nothing),
         redirect_stderr(nothing),
-        reading(strict=job.strict, hear=notes.append, up=job.up, cm=job.cm, animation=job.animation),
+        reading(hear=notes.append, **job.manner),
         click.Context(command),
     ):
         try:
