@@ -228,9 +228,10 @@ def test_metrics_are_those_of_the_motion_on_the_rig(place: Path) -> None:
     write_bvh("long.bvh", renamed(replace(walk(8), skeleton=canonical_skeleton(offsets)), NAMES))
     ids = ("afs", "jerk", "penetration-mean")
     for words in (("synthesize", "--types", "walking:1"), ("follow-path", "line", "--size", "1")):
-        told = json.loads(run(*words, "--rig", "long.bvh", "-o", "a.bvh", "--json").stdout)
+        file = f"{words[0]}.bvh"
+        told = json.loads(run(*words, "--rig", "long.bvh", "-o", file, "--json").stdout)
         told = told.get("motions", [told])[0]["metrics"]
-        rows = json.loads(run("metrics", "a.bvh", "--json").stdout)["metrics"]
+        rows = json.loads(run("metrics", file, "--json").stdout)["metrics"]
         measured = {row["id"]: row["value"] for row in rows}
         assert [told[i]["value"] for i in ids] == pytest.approx([measured[i] for i in ids], rel=1e-2)
 
