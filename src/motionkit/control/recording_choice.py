@@ -40,6 +40,8 @@ class EntrySettings:
     # Difference in speed (cm/s) between an entry of a strike or jump and the body, beyond the smallest one. A leap out
     # of a run needs the run.
     other_speed: float = 60.0
+    # Difference between the speed after an entry of a gait and the speed of the stay, as a share of it.
+    other_pace: float = 0.05
     played: float = 0.5  # largest share already played of the seconds after an entry frame
     few_seconds: float = 12.0  # of recordings of a type that `few` keeps
 
@@ -61,15 +63,17 @@ SIBLINGS = 32
 
 @dataclass(frozen=True)
 class GaitClip:
-    """Entry frames and braking of a clip of a gait or of standing.
+    """Entry frames, braking and speeds of a clip of a gait or of standing.
 
     Attributes:
         entries: possible entry frames.
         brakes: (L,) for each frame, the next frame at which the clip brakes, or its length.
+        speeds: (L,) speed in cm/s over the second after each frame.
     """
 
     entries: list[int]
     brakes: Array
+    speeds: Array
 
 
 class PlayedFrames:
@@ -125,6 +129,7 @@ class RecordingChoice:
         self.draws = 0  # clips that have been drawn
         self.played = PlayedFrames(model.fps)
         self.stance: tuple[ReferenceClip, ...] = ()  # clips of standing, moved to the body's stance
+        self.pace = 0.0  # cm/s; speed of the present stay in a gait
         self._indices: dict[str, MotionIndex] = {}
         self._gait_clips: dict[ReferenceClip, GaitClip] = {}
 
@@ -172,7 +177,13 @@ class RecordingChoice:
             number, at = self._index(kind).nearest(near, trajectory, MATCHING.every)
             return clips[number], at
         count = ENTRY.candidates_within if within else ENTRY.candidates
-        return self._drawn(self._as_fast(kind, self.entry_frames(kind, clips), speed), count, near)
+        found = self._as_fast(kind, self.entry_frames(kind, clips), speed)
+        if self.model.kind(kind) is not MotionKind.GAIT:
+            return self._drawn(found, count, near)
+        clip, at = self._drawn(self._at_pace(kind, found) if within else found, count, near)
+        if not within:
+            self.pace = float(self._gait_clip(kind, clip).speeds[at])
+        return clip, at
 
     def better(self, kind: str, clip: ReferenceClip, at: int, trajectory: Array) -> tuple[ReferenceClip, int]:
         """Find a clip and frame that match a trajectory (24,) clearly better than the given ones; else return these."""
@@ -239,11 +250,13 @@ class RecordingChoice:
             return found
         gaps = [np.abs(ground_speeds(clip.ground, self.model.fps)[frames] - speed) for clip, frames in found]
         most = ENTRY.other_speed + min(float(gap.min()) for gap in gaps)
-        kept = [
-            (clip, [at for at, gap in zip(frames, each.tolist(), strict=True) if gap <= most])
-            for (clip, frames), each in zip(found, gaps, strict=True)
-        ]
-        return [each for each in kept if each[1]]
+        return _kept(found, gaps, most)
+
+    def _at_pace(self, kind: str, found: Entries) -> Entries:
+        """Keep the entry frames of a gait after which its speed is that of the stay, as nearly as recorded."""
+        gaps = [np.abs(self._gait_clip(kind, clip).speeds[frames] - self.pace) for clip, frames in found]
+        most = max(ENTRY.other_pace * self.pace, min(float(gap.min()) for gap in gaps if len(gap)))
+        return _kept(found, gaps, most)
 
     def _fresh(self, found: Entries) -> Entries:
         """Keep the entry frames whose continuation has mostly not been played; if none is left, start over with all."""
@@ -266,14 +279,15 @@ class RecordingChoice:
             fps, gait, length = self.model.fps, self._type(kind).gait, len(clip)
             least, frames = min(round(ENTRY.gait_seconds * fps), length - 1), np.arange(length)
             brakes, entries = np.full(length, length), frames[: length - least]
+            speeds = speeds_ahead(clip.ground, fps)
             if self.model.kind(kind) is MotionKind.GAIT and gait is not None:
                 # Skip the stop at the end of recorded runs.
                 going = ENTRY.going * gait.speed
-                slow = np.append(np.flatnonzero(speeds_ahead(clip.ground, fps) < going), length)
+                slow = np.append(np.flatnonzero(speeds < going), length)
                 until = slow[np.searchsorted(slow, frames)]
                 if (until - frames > least).any():
                     brakes, entries = until, np.flatnonzero(until - frames > least)
-            self._gait_clips[clip] = GaitClip(entries.tolist(), brakes)
+            self._gait_clips[clip] = GaitClip(entries.tolist(), brakes, speeds)
         return self._gait_clips[clip]
 
 
@@ -311,6 +325,15 @@ def frames_behind(model: MotionModel, kind: str, near: Array) -> int:
     begins = min(float(cost[0]) for cost in costs)
     best = min(costs, key=lambda cost: float(cost.min()))
     return int(best.argmin()) if begins > 1.0 + ENTRY.suited * float(best.min()) else 0
+
+
+def _kept(found: Entries, gaps: Sequence[Array], most: float) -> Entries:
+    """Keep the entry frames whose gap is at most `most`, and the clips that have some."""
+    kept = [
+        (clip, [at for at, gap in zip(frames, each.tolist(), strict=True) if gap <= most])
+        for (clip, frames), each in zip(found, gaps, strict=True)
+    ]
+    return [each for each in kept if each[1]]
 
 
 def _before_events(clips: Sequence[ReferenceClip]) -> Entries:
