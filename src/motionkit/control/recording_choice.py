@@ -40,8 +40,10 @@ class EntrySettings:
     # Difference in speed (cm/s) between an entry of a strike or jump and the body, beyond the smallest one. A leap out
     # of a run needs the run.
     other_speed: float = 60.0
-    # Difference between the speed after an entry of a gait and the speed of the stay, as a share of it.
+    # Difference between the speed of a gait after an entry and that of the stay, as a share of it: that of an entry, and
+    # that at which the recording is left.
     other_pace: float = 0.05
+    leaving_pace: float = 0.15
     played: float = 0.5  # largest share already played of the seconds after an entry frame
     few_seconds: float = 12.0  # of recordings of a type that `few` keeps
 
@@ -182,7 +184,8 @@ class RecordingChoice:
             return self._drawn(found, count, near)
         clip, at = self._drawn(self._at_pace(kind, found) if within else found, count, near)
         if not within:
-            self.pace = float(self._gait_clip(kind, clip).speeds[at])
+            gait = self._gait_clip(kind, clip)
+            self.pace = float(gait.speeds[at : max(int(gait.brakes[at]), at + 1)].mean())
         return clip, at
 
     def better(self, kind: str, clip: ReferenceClip, at: int, trajectory: Array) -> tuple[ReferenceClip, int]:
@@ -197,6 +200,15 @@ class RecordingChoice:
     def brakes(self, kind: str, clip: ReferenceClip, at: int) -> int:
         """The next frame at which a gait's clip brakes, or its length."""
         return int(self._gait_clip(kind, clip).brakes[min(at, len(clip) - 1)])
+
+    def leaves(self, kind: str, clip: ReferenceClip, entered: int) -> int:
+        """The frame at which a free gait leaves a clip: where it brakes, or loses the speed of the stay."""
+        gait = self._gait_clip(kind, clip)
+        end = int(gait.brakes[min(entered, len(clip) - 1)])
+        other = np.abs(gait.speeds[entered:end] - self.pace) > ENTRY.leaving_pace * self.pace
+        least = round(ENTRY.gait_seconds * self.model.fps)
+        other[:least] = False
+        return entered + int(other.argmax()) if other.any() else end
 
     def entry_frames(self, kind: str, clips: Sequence[ReferenceClip]) -> Entries:
         """Entry frames of clips of any type but performances, for each clip that has some."""

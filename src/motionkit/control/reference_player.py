@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from motionkit.arrays import Array
@@ -10,11 +12,12 @@ from motionkit.control.momentum import asked_speed, forward_speeds, ground_speed
 from motionkit.control.motion_index import pose_state
 from motionkit.control.recording_choice import MATCHING, RecordingChoice
 from motionkit.control.reference_controls import OWN_SHARE, ReferenceControls, rhythm_of
-from motionkit.features.control import Controls
+from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.reference import PAUSE
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind, ReferenceClip
 
+SCALED = 0.2
 
 class ReferencePlayer:
     """Plays one reference clip of a type after another for one character; the same choice plays the same clips.
@@ -42,7 +45,7 @@ class ReferencePlayer:
         self.controls = ReferenceControls(model, own_share)
         self.kind = ""
         self.clip: ReferenceClip | None = None
-        self.at = 0
+        self.at = self.entered = 0
         self.left: Crossfade | None = None  # cross-fade from the clip before
         self.pause: Pause | None = None  # the present pause
         self._since = 0  # frames since the last search
@@ -87,6 +90,7 @@ class ReferencePlayer:
             self.at = behind
             return
         self.clip, self.at = found
+        self.entered = self.at
         # A performance begins without a blend: a handspring is on the hands before a blend would end.
         if left is not None and not self.clip.performed:
             self.left = Crossfade(left, left_at, self.clip, self.at, before)
@@ -148,7 +152,7 @@ class ReferencePlayer:
             return 0
         if not (free and self.model.kind(self.kind) is MotionKind.GAIT):
             return len(self.clip)
-        return self.recordings.brakes(self.kind, self.clip, self.at)
+        return self.recordings.leaves(self.kind, self.clip, self.entered)
 
     def _go_on(self, trajectory: Array | None, frames: int | None) -> None:
         """Enter the next clip, after a pause if there is no time for a blend.
@@ -178,6 +182,7 @@ class ReferencePlayer:
         if found != (clip, self.at):
             self.left = Crossfade(clip, self.at, *found, self.left)
             self.clip, self.at = found
+            self.entered = self.at
 
     def _stretch(self, count: int, trajectories: Array | None) -> Controls:
         """Controls of up to `count` frames of the present clip, until its end or the next search."""
@@ -191,6 +196,8 @@ class ReferencePlayer:
         else:
             frames = np.arange(self.at, self.at + count)
             asked = self.controls.of_clip(self.kind, self.clip, frames, self.left, trajectories)
+            if trajectories is None and self.model.kind(self.kind) is MotionKind.GAIT:
+                asked = at_speed(asked, self.recordings.pace, self.model.fps)
             self.recordings.played.mark(self.clip, self.at, count)
         self.at += count
         self._since += count
@@ -206,3 +213,13 @@ class ReferencePlayer:
 
     def _present(self) -> Array | None:
         return None if self.clip is None else pose_state(self.clip, min(self.at, len(self.clip) - 1))
+
+
+def at_speed(asked: Controls, speed: float, fps: float) -> Controls:
+    """Lengthen or shorten trajectories (T, 24) of controls so that the body goes at a speed in cm/s."""
+    half = asked.trajectory.shape[-1] // 2
+    now = np.linalg.norm(asked.trajectory[:, half - 2 : half], axis=-1) * fps / TRAJECTORY_OFFSETS[-1]
+    factor = np.clip(speed / np.maximum(now, 1e-6), 1.0 - SCALED, 1.0 + SCALED)
+    trajectory = asked.trajectory.copy()
+    trajectory[:, :half] *= factor[:, None].astype(np.float32)
+    return replace(asked, trajectory=trajectory)
