@@ -13,6 +13,7 @@ from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, future_traj
 # their frames (measured).
 CHANGE = 350.0
 LEAST = 60.0  # cm/s; the network makes smaller changes of speed by itself; chosen
+CORRECTED = 0.3  # largest change of a recorded trajectory's length, as a share; chosen
 SPAN = 10  # frames over which a speed is measured; chosen
 
 
@@ -52,6 +53,17 @@ def asked_speed(trajectory: Array, fps: float) -> float:
     """Mean straight-line speed in cm/s from the present place to the last place of a trajectory (24,)."""
     count = 2 * len(TRAJECTORY_OFFSETS)
     return float(np.linalg.norm(trajectory[count - 2 : count])) * fps / TRAJECTORY_OFFSETS[-1]
+
+
+def at_speed(asked: Controls, speed: float, fps: float) -> Controls:
+    """Change the distances of trajectories (T, 24) of controls to those of a body at a speed in cm/s."""
+    places = asked.trajectory[:, : 2 * len(TRAJECTORY_OFFSETS)].reshape(-1, len(TRAJECTORY_OFFSETS), 2)
+    wanted = np.array(TRAJECTORY_OFFSETS, np.float32) * np.float32(speed / fps)
+    factors = wanted / np.maximum(np.linalg.norm(places, axis=-1), 1e-6)
+    factors = np.clip(factors, 1.0 - CORRECTED, 1.0 + CORRECTED)[..., None]
+    trajectory = asked.trajectory.copy()
+    trajectory[:, : 2 * len(TRAJECTORY_OFFSETS)] = (places * factors).reshape(len(trajectory), -1)
+    return replace(asked, trajectory=trajectory)
 
 
 def carried_speeds(speeds: Array, before: float, fps: float, change: float = CHANGE) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, length
 from motionkit.control.memory import Bodies, FoundStances
 from motionkit.control.momentum import carried_over
 from motionkit.control.plan import Plan
@@ -17,6 +17,8 @@ from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, types_ahead
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.motion.rotations import rotate_ground, wrap_angle
+
+FAR = 20.0  # cm; largest distance from its way that a gait makes up for; chosen
 
 
 def plan_controls(model: MotionModel, plan: Plan, choice: int = 0) -> Controls:
@@ -63,70 +65,58 @@ class CrowdController:
             [plan_controls(model, plan, choice + i) for i, plan in enumerate(plans)]
         )
         self.stances = FoundStances(model, [plan.stands for plan in plans], bodies)
-        self.ways = [StayWays(model, plan, self.controls.trajectory[:, i]) for i, plan in enumerate(plans)]
+        self.ways = GaitWays(model, plans, self.controls)
 
     def __call__(self, frame: int, ground: Array) -> Controls:
         """Controls (B, ...) of a frame for bodies at ground (B, 3)."""
         row = min(frame, len(self.controls.phase) - 1)
-        asked = self.stances.shown(self.controls.at(row), row)
-        trajectory = asked.trajectory.copy()
-        for i, ways in enumerate(self.ways):
-            trajectory[i] = ways.led(row, trajectory[i], ground[i])
-        return replace(asked, trajectory=trajectory)
+        return self.ways.led(self.stances.shown(self.controls.at(row), row), row, ground)
 
 
-import os
-class StayWays:
-    """Leads a body that stays in a gait along the way that its trajectories add up to.
+class GaitWays:
+    """Leads characters that stay in a gait along the way that their planned trajectories add up to.
 
-    A trajectory alone tells how to go on from wherever the body is, so its errors of speed and direction add up.
+    A trajectory alone says how to go on from wherever the body is, so errors of speed and direction would add up.
     """
 
-    def __init__(self, model: MotionModel, plan: Plan, trajectories: Array) -> None:
-        self.ways: dict[int, Array] = {}
-        self.first = {}
-        for segment in plan.segments:
-            if model.kind(segment.type) is MotionKind.GAIT and model.uses_references:
+    def __init__(self, model: MotionModel, plans: Sequence[Plan], planned: Controls) -> None:
+        """Take the plans of B characters and their controls (T, B, ...)."""
+        shape = planned.trajectory_mask.shape
+        self.begins, self.leads = np.zeros(shape, bool), np.zeros(shape, bool)
+        self.ways = np.zeros((*shape, 3))
+        self.origins = np.zeros((shape[1], 3))  # where the present way begins: x, z in cm and heading
+        for character, plan in enumerate(plans):
+            for segment in plan.segments:
                 rows = slice(segment.first, segment.first + segment.count)
-                way = added_up(trajectories[rows])
-                for at in range(segment.count):
-                    self.ways[segment.first + at] = way[at]
-                    self.first[segment.first + at] = segment.first
-        self.anchor = None
-        self.began = -1
+                if (
+                    model.kind(segment.type) is MotionKind.GAIT
+                    and planned.trajectory_mask[rows, character].all()
+                ):
+                    self.begins[segment.first, character] = self.leads[rows, character] = True
+                    self.ways[rows, character] = way_of(planned.trajectory[rows, character])
 
-    def led(self, frame: int, trajectory: Array, ground: Array) -> Array:
-        if frame not in self.ways:
-            return trajectory
-        ground = ground.astype(np.float64)
-        at = self.ways[frame]
-        if self.anchor is None or self.began != self.first[frame]:
-            self.began = self.first[frame]
-            self.anchor = np.concatenate([ground[:2] - rotate_ground(ground[2] - at[2], at[:2]), [ground[2] - at[2]]])
-        place = self.anchor[:2] + rotate_ground(self.anchor[2], at[:2])
-        heading = self.anchor[2] + at[2]
-        gap = place - ground[:2]
-        far = float(np.linalg.norm(gap))
-        most = float(os.environ.get('GAP','20'))
-        if far > most:
-            self.anchor[:2] -= gap * (1 - most / far)
-            gap *= most / far
-        half = len(trajectory) // 2
-        turn = float(wrap_angle(np.array([heading - ground[2]]))[0]) * float(os.environ.get('TURN','1'))
-        gap = rotate_ground(-ground[2], gap)
-        places = rotate_ground(turn, trajectory[:half].reshape(-1, 2).astype(np.float64)) + gap
-        directions = rotate_ground(turn, trajectory[half:].reshape(-1, 2).astype(np.float64))
-        return np.concatenate([places.reshape(-1), directions.reshape(-1)]).astype(np.float32)
+    def led(self, asked: Controls, row: int, ground: Array) -> Controls:
+        """Move trajectories (B, 24) of a row so that they lead bodies at ground (B, 3) back to their ways."""
+        leads, begins, here = self.leads[row], self.begins[row], ground.astype(np.float64)
+        if not leads.any():
+            return asked
+        self.origins[begins] = here[begins]
+        way = self.ways[row]
+        gap = self.origins[:, :2] + rotate_ground(self.origins[:, 2], way[:, :2]) - here[:, :2]
+        far = np.maximum(length(gap) / FAR, 1.0)[:, None]
+        self.origins[:, :2] += gap / far - gap  # a body that cannot follow is not hurried for it
+        turn = wrap_angle(self.origins[:, 2] + way[:, 2] - here[:, 2])[:, None]
+        moved = rotate_ground(turn, asked.trajectory.reshape(len(here), -1, 2).astype(np.float64))
+        moved[:, : moved.shape[1] // 2] += rotate_ground(-here[:, 2], gap / far)[:, None]
+        trajectory = np.where(leads[:, None], moved.reshape(asked.trajectory.shape), asked.trajectory)
+        return replace(asked, trajectory=trajectory.astype(np.float32))
 
 
-def added_up(trajectories: Array) -> Array:
-    """Places and headings (T, 3) in the frame of the first, when each frame goes the first tenth... """
-    n = TRAJECTORY_OFFSETS[0]
-    half = trajectories.shape[1] // 2
-    out = np.zeros((len(trajectories), 3))
-    for i in range(1, len(out)):
-        t = trajectories[i - 1].astype(np.float64)
-        h = out[i - 1, 2]
-        out[i, :2] = out[i - 1, :2] + rotate_ground(h, t[:2]) / n
-        out[i, 2] = h + np.arctan2(t[half], t[half + 1]) / n
-    return out
+def way_of(trajectories: Array) -> Array:
+    """Places and headings (T, 3), from zero, of a body that follows the nearest point of each trajectory (T, 24)."""
+    half, frames = trajectories.shape[1] // 2, TRAJECTORY_OFFSETS[0]
+    steps, ahead = np.split(trajectories.astype(np.float64)[:-1], [half], axis=1)
+    way = np.zeros((len(trajectories), 3))
+    way[1:, 2] = np.cumsum(np.arctan2(ahead[:, 0], ahead[:, 1]) / frames)
+    way[1:, :2] = np.cumsum(rotate_ground(way[:-1, 2], steps[:, :2] / frames), axis=0)
+    return way

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from motionkit.arrays import Array
 from motionkit.control.momentum import ground_speeds, speeds_ahead
@@ -40,8 +41,8 @@ class EntrySettings:
     # Difference in speed (cm/s) between an entry of a strike or jump and the body, beyond the smallest one. A leap out
     # of a run needs the run.
     other_speed: float = 60.0
-    # Difference between the speed of a gait after an entry and that of the stay, as a share of it: that of an entry, and
-    # that at which the recording is left.
+    # Differences between the speed of a gait's recording and that of the stay, as shares of the latter: the largest at an
+    # entry, and the one at which the recording is left.
     other_pace: float = 0.05
     leaving_pace: float = 0.15
     played: float = 0.5  # largest share already played of the seconds after an entry frame
@@ -197,10 +198,6 @@ class RecordingChoice:
         )
         return index.clips[number], found
 
-    def brakes(self, kind: str, clip: ReferenceClip, at: int) -> int:
-        """The next frame at which a gait's clip brakes, or its length."""
-        return int(self._gait_clip(kind, clip).brakes[min(at, len(clip) - 1)])
-
     def leaves(self, kind: str, clip: ReferenceClip, entered: int) -> int:
         """The frame at which a free gait leaves a clip: where it brakes, or loses the speed of the stay."""
         gait = self._gait_clip(kind, clip)
@@ -299,6 +296,9 @@ class RecordingChoice:
                 until = slow[np.searchsorted(slow, frames)]
                 if (until - frames > least).any():
                     brakes, entries = until, np.flatnonzero(until - frames > least)
+                second = sliding_window_view(speeds, least)[entries]
+                steady = np.abs(second / second[:, :1] - 1.0).max(axis=1) <= ENTRY.leaving_pace
+                entries = entries[steady] if steady.any() else entries
             self._gait_clips[clip] = GaitClip(entries.tolist(), brakes, speeds)
         return self._gait_clips[clip]
 

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.blending import SHORTEST_BLEND, Crossfade, Pause
-from motionkit.control.momentum import asked_speed, forward_speeds, ground_speeds
+from motionkit.control.momentum import asked_speed, at_speed, forward_speeds, ground_speeds
 from motionkit.control.motion_index import pose_state
 from motionkit.control.recording_choice import MATCHING, RecordingChoice
 from motionkit.control.reference_controls import OWN_SHARE, ReferenceControls, rhythm_of
-from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
+from motionkit.features.control import Controls
 from motionkit.features.reference import PAUSE
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind, ReferenceClip
 
-SCALED = 0.2
 
 class ReferencePlayer:
     """Plays one reference clip of a type after another for one character; the same choice plays the same clips.
 
     RecordingChoice picks the clips, and ReferenceControls makes controls of them. Without a requested trajectory, gaits
-    follow that of their recording. With one, the player searches for frames that match it.
+    follow that of their recording, at the speed of their stay. With one, the player searches for frames that match it.
     """
 
     def __init__(
@@ -213,13 +210,3 @@ class ReferencePlayer:
 
     def _present(self) -> Array | None:
         return None if self.clip is None else pose_state(self.clip, min(self.at, len(self.clip) - 1))
-
-
-def at_speed(asked: Controls, speed: float, fps: float) -> Controls:
-    """Lengthen or shorten trajectories (T, 24) of controls so that the body goes at a speed in cm/s."""
-    half = asked.trajectory.shape[-1] // 2
-    now = np.linalg.norm(asked.trajectory[:, half - 2 : half], axis=-1) * fps / TRAJECTORY_OFFSETS[-1]
-    factor = np.clip(speed / np.maximum(now, 1e-6), 1.0 - SCALED, 1.0 + SCALED)
-    trajectory = asked.trajectory.copy()
-    trajectory[:, :half] *= factor[:, None].astype(np.float32)
-    return replace(asked, trajectory=trajectory)
