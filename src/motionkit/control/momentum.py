@@ -55,12 +55,12 @@ def asked_speed(trajectory: Array, fps: float) -> float:
     return float(np.linalg.norm(trajectory[count - 2 : count])) * fps / TRAJECTORY_OFFSETS[-1]
 
 
-def at_speed(asked: Controls, speed: float, fps: float) -> Controls:
-    """Change the distances of trajectories (T, 24) of controls to those of a body at a speed in cm/s."""
+def at_speed(asked: Controls, speed: float, fps: float, where: Array) -> Controls:
+    """Change the distances of trajectories (T, 24) to those at a speed in cm/s, in the frames that where (T,) marks."""
     places = asked.trajectory[:, : 2 * len(TRAJECTORY_OFFSETS)].reshape(-1, len(TRAJECTORY_OFFSETS), 2)
     wanted = np.array(TRAJECTORY_OFFSETS, np.float32) * np.float32(speed / fps)
     factors = wanted / np.maximum(np.linalg.norm(places, axis=-1), 1e-6)
-    factors = np.clip(factors, 1.0 - CORRECTED, 1.0 + CORRECTED)[..., None]
+    factors = np.where(where[:, None], np.clip(factors, 1.0 - CORRECTED, 1.0 + CORRECTED), 1.0)[..., None]
     trajectory = asked.trajectory.copy()
     trajectory[:, : 2 * len(TRAJECTORY_OFFSETS)] = (places * factors).reshape(len(trajectory), -1)
     return replace(asked, trajectory=trajectory)

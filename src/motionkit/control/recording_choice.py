@@ -41,8 +41,8 @@ class EntrySettings:
     # Difference in speed (cm/s) between an entry of a strike or jump and the body, beyond the smallest one. A leap out
     # of a run needs the run.
     other_speed: float = 60.0
-    # Differences between the speed of a gait's recording and that of the stay, as shares of the latter: the largest at an
-    # entry, and the one at which the recording is left.
+    # Differences between the speed of a gait's recording and that of the stay, as shares of the latter: the largest at
+    # an entry, and the one at which the recording is left.
     other_pace: float = 0.05
     leaving_pace: float = 0.15
     played: float = 0.5  # largest share already played of the seconds after an entry frame
@@ -297,7 +297,7 @@ class RecordingChoice:
                 if (until - frames > least).any():
                     brakes, entries = until, np.flatnonzero(until - frames > least)
                 second = sliding_window_view(speeds, least)[entries]
-                steady = np.abs(second / second[:, :1] - 1.0).max(axis=1) <= ENTRY.leaving_pace
+                steady = np.abs(second - second[:, :1]).max(axis=1) <= ENTRY.leaving_pace * second[:, 0]
                 entries = entries[steady] if steady.any() else entries
             self._gait_clips[clip] = GaitClip(entries.tolist(), brakes, speeds)
         return self._gait_clips[clip]

@@ -43,6 +43,7 @@ class ReferencePlayer:
         self.kind = ""
         self.clip: ReferenceClip | None = None
         self.at = self.entered = 0
+        self.arrives = 0  # frame at which the cross-fade from another type ends
         self.left: Crossfade | None = None  # cross-fade from the clip before
         self.pause: Pause | None = None  # the present pause
         self._since = 0  # frames since the last search
@@ -87,10 +88,11 @@ class ReferencePlayer:
             self.at = behind
             return
         self.clip, self.at = found
-        self.entered = self.at
+        self.entered = self.arrives = self.at
         # A performance begins without a blend: a handspring is on the hands before a blend would end.
         if left is not None and not self.clip.performed:
             self.left = Crossfade(left, left_at, self.clip, self.at, before)
+            self.arrives += 0 if within else self.left.frames
         elif left is not None and paused:
             self.pause = Pause(left, self.clip, self.at)
 
@@ -179,7 +181,7 @@ class ReferencePlayer:
         if found != (clip, self.at):
             self.left = Crossfade(clip, self.at, *found, self.left)
             self.clip, self.at = found
-            self.entered = self.at
+            self.entered = self.arrives = self.at
 
     def _stretch(self, count: int, trajectories: Array | None) -> Controls:
         """Controls of up to `count` frames of the present clip, until its end or the next search."""
@@ -194,7 +196,8 @@ class ReferencePlayer:
             frames = np.arange(self.at, self.at + count)
             asked = self.controls.of_clip(self.kind, self.clip, frames, self.left, trajectories)
             if trajectories is None and self.model.kind(self.kind) is MotionKind.GAIT:
-                asked = at_speed(asked, self.recordings.pace, self.model.fps)
+                steady = frames >= self.arrives
+                asked = at_speed(asked, self.recordings.pace, self.model.fps, steady)
             self.recordings.played.mark(self.clip, self.at, count)
         self.at += count
         self._since += count

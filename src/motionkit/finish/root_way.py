@@ -24,7 +24,6 @@ class WaySettings:
 
     Attributes:
         hold_frames: frames to both sides over which the sliding of feet is averaged, because predicted feet tremble.
-        stride_frames: frames to both sides over which feet may shift the path; over longer times it stays as it was.
         rate: share of the excess acceleration that one round removes.
         rounds: most rounds.
         smooth_frames: frames to both sides over which the excess is averaged.
@@ -32,7 +31,6 @@ class WaySettings:
     """
 
     hold_frames: int = 6
-    stride_frames: int = 60
     rate: float = 0.1
     rounds: int = 200
     smooth_frames: int = 4
@@ -48,7 +46,7 @@ def held_way(motion: Motion, contacts: Array, share: Array | float, most: float 
     Args:
         motion: T frames on the canonical joints at 60 fps, in cm.
         contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
-        share: (T,), or one for all frames, of foot sliding to remove. 0 keeps the path; with 1 the feet decide steps.
+        share: (T,), or one for all frames, of foot sliding to remove. 0 keeps the path; with 1 the feet decide it.
         most: limit in m/s^2 between velocities over 0.2 s; None for no limit.
     """
     way = motion.root_positions[:, ::2].astype(np.float64)
@@ -62,7 +60,7 @@ def held_way(motion: Motion, contacts: Array, share: Array | float, most: float 
 
 
 def _hold(motion: Motion, contacts: Array, share: Array | float) -> Array:
-    """Shifts (T, 2) of the root in cm that remove the sliding of feet in contact, smoothed, within strides."""
+    """Shifts (T, 2) of the root in cm that remove the sliding of feet in contact, smoothed."""
     shift = np.zeros((len(motion), 2))
     shares = np.broadcast_to(np.asarray(share, np.float32), len(motion))[1:, None]
     if not shares.any():
@@ -70,7 +68,7 @@ def _hold(motion: Motion, contacts: Array, share: Array | float) -> Array:
     feet = motion_kinematics(motion)[1][:, list(FOOT_JOINTS)]
     slip = shares * root_slip(feet[:-1], feet[1:], contacts[1:])
     shift[1:] = -np.cumsum(slip, axis=0, dtype=np.float64)
-    return smoothed(shift, WAY.hold_frames) - smoothed(shift, WAY.stride_frames)
+    return smoothed(shift, WAY.hold_frames)
 
 
 def _eased(begun: Array, most: float | None, fps: float) -> Array:

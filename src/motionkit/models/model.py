@@ -120,18 +120,27 @@ class MotionModel:
             if known.kind is MotionKind.GAIT
         }
 
-    def root_hold(self, type_weights: Array) -> Array:
+    def root_hold(self, type_weights: Array, gaits: float = 1.0) -> Array:
         """Share (...) of foot sliding to subtract from the root's path, by type weights (..., N).
 
         It is 0 for a standing body: its feet shuffle while it sways, and the correction would carry it away.
+
+        Args:
+            gaits: share for gaits.
         """
+        moving = self._moving if gaits == 1.0 else np.where(self._gaits, np.float32(gaits), self._moving)
         # A matrix product would not do: its last digits depend on the other characters' rows.
-        return (type_weights * self._moving).sum(axis=-1)
+        return (type_weights * moving).sum(axis=-1)
 
     @cached_property
     def _moving(self) -> Array:
         """1 for each type (N,), but 0 for standing; cached, because live characters need it in every frame."""
         return np.array([each.kind is not MotionKind.STANCE for each in self.types.values()], np.float32)
+
+    @cached_property
+    def _gaits(self) -> Array:
+        """Whether each type (N,) is a gait."""
+        return np.array([each.kind is MotionKind.GAIT for each in self.types.values()])
 
     def presets(self, name: str) -> Array:
         """One field (N,) of the sampling presets of all types, such as "noise_scale"."""
