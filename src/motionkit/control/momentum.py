@@ -13,7 +13,7 @@ from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, future_traj
 # their frames (measured).
 CHANGE = 350.0
 LEAST = 60.0  # cm/s; the network makes smaller changes of speed by itself; chosen
-CORRECTED = 0.3  # largest change of a recorded trajectory's length, as a share; chosen
+CORRECTED = 0.15  # largest change of a recorded trajectory's distances, as a share; chosen
 SPAN = 10  # frames over which a speed is measured; chosen
 
 
