@@ -32,6 +32,9 @@ from motionkit.motion.rotations import rotate_ground
 
 PATIENCE = 1.6  # factor on the expected duration (plus 3 s), after which the roll-out stops
 BLEND_SAMPLES = 16  # points at which types are sampled for their blend; chosen
+# Gaits whose median recording lasts at least LONG_SECONDS show it on a path, with a share GUIDED of the type's gain.
+# Shorter recordings follow one another too quickly for the feet. Chosen by foot sliding and arm swing.
+LONG_SECONDS, GUIDED = 2.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +67,8 @@ class FollowResult:
 class PathFollower:
     """Turns a planned path into the controls of every frame for one character; a Controller.
 
-    Gaits take speed and turns from the path, and their first steps after a stop from recordings. Other types follow
-    recordings; choice picks among these.
+    Gaits take speed and turns from the path, and their first steps after a stop from recordings. Gaits with long
+    recordings also move their arms and trunk as these do. Other types follow recordings; choice picks among these.
     """
 
     def __init__(self, model: MotionModel, plan: Plan, choice: int = 0, behind: int = 0) -> None:
@@ -76,6 +79,7 @@ class PathFollower:
         self.place = PathPlace(plan.route, model.fps)
         self.player = ReferencePlayer(model, choice, own_share=0.0)
         self.first_steps = FirstSteps(model, choice)
+        self.shown = {part.type for part in plan.route.path.parts if _shown(model, part.type)}
         self.entered = -1  # the present part
         self.arcs: list[float] = []
 
@@ -124,7 +128,15 @@ class PathFollower:
             self.first_steps.begin(kind)
         if not standing and self.first_steps.takes(kind):
             return self.first_steps.reference(asked, trajectory[None])
-        return asked
+        return asked if standing or kind not in self.shown else self._guided(kind, asked, trajectory)
+
+    def _guided(self, kind: str, asked: Controls, trajectory: Array) -> Controls:
+        """Add reference poses of a gait to its controls (1, ...), more of them the more of the gait is blended in."""
+        if self.player.kind != kind:
+            self.player.begin(kind, speed=asked_speed(trajectory, self.model.fps))
+        shown = self.player.play(1, trajectory[None])
+        share = np.float32(GUIDED) * asked.type_weights[:, self.model.type_id(kind)]
+        return replace(asked, reference=shown.reference, reference_gain=share * shown.reference_gain)
 
     def _recorded(self, part: int, trajectory: Array) -> Controls:
         """Controls (1, ...) of a part that follows recordings."""
@@ -211,6 +223,14 @@ def follow_path(
         raw,
         drawn,
     )
+
+
+def _shown(model: MotionModel, kind: str) -> bool:
+    """Whether recordings of a gait last long enough to be shown on a path."""
+    clips = model.types[kind].reference_clips if model.uses_references and kind in model.types else ()
+    if model.kind(kind) is not MotionKind.GAIT or not clips:
+        return False
+    return float(np.median([len(clip) for clip in clips])) >= LONG_SECONDS * model.fps
 
 
 def _part_distances(track: Array, arcs: list[float], path: Path2D) -> tuple[tuple[float, float] | None, ...]:

@@ -30,7 +30,7 @@ from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, leg_length
 from motionkit.seeds import check_seed
 
 MAX_FRAMES = 500_000  # of all characters together, at the higher of model and file rate; takes 4 GB of memory
-# Share of foot sliding that the root of a gait follows; chosen. With all of it, the speed of a walk varies twice as much
+# Share of foot sliding that the root of a gait follows; chosen. With all of it, the speed of walks varies twice as much
 # as recorded.
 GAIT_HOLD = 0.5
 
