@@ -43,6 +43,7 @@ class _Library:
     def __init__(self, dataset: Dataset, clips: Sequence[Clip]) -> None:
         data = [dataset.read(clip) for clip in clips]
         self.features = np.concatenate([d.features for d in data])
+        self.contacts = np.concatenate([d.contacts for d in data])
         self.types = np.concatenate([d.types for d in data])
         self.trajectories = np.concatenate(
             [future_trajectory(d.ground, np.arange(len(d.types))) for d in data]
@@ -88,37 +89,56 @@ def nearest_clip(dataset: Dataset, clips: Sequence[Clip] = ()) -> Continue:
     return continues
 
 
-def motion_matching(dataset: Dataset) -> Continue:
-    """Return the motion-matching baseline, which plays recorded frames and searches again every SEARCHED frames.
+class Matching:
+    """Motion matching over the training clips: plays recorded frames, and searches again every SEARCHED frames.
 
-    It gets the types and the trajectory of the test sequence, as the networks do. Transitions are not blended.
+    Transitions are not blended.
     """
-    library = _Library(dataset, dataset.select("train"))
-    table = library.matched(library.features, library.trajectories)
-    lasts = library.ends - np.arange(len(library.ends)) > SEARCHED
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.library = library = _Library(dataset, dataset.select("train"))
+        self._table = library.matched(library.features, library.trajectories)
+        self._lasts = library.ends - np.arange(len(library.ends)) > SEARCHED
+        self.at = -1  # row of the library that is played
+
+    def begin(self) -> None:
+        """Forget what is played."""
+        self.at = -1
+
+    def next(self, frame: int, present: Array, kind: int, trajectory: Array) -> int:
+        """Return the row of the library to play in a frame.
+
+        Args:
+            present: (276,) features of the frame before.
+            kind: the wanted type, as a number of the dataset.
+            trajectory: (24,) the wanted trajectory.
+        """
+        library = self.library
+        goes_on = self.at >= 0 and self.at + 1 < library.ends[self.at]
+        if frame % SEARCHED == 0 or not goes_on:
+            allowed = np.flatnonzero(self._lasts & (library.types == kind))
+            allowed = allowed if len(allowed) else np.flatnonzero(self._lasts)
+            query = library.matched(present[None], trajectory[None])
+            cost = np.square(self._table[allowed] - query).sum(axis=1)
+            stay = float(np.square(self._table[self.at] - query).sum()) if goes_on else np.inf
+            self.at = int(allowed[cost.argmin()]) if float(cost.min()) < stay else self.at
+        self.at += 1
+        return self.at
+
+
+def motion_matching(dataset: Dataset) -> Continue:
+    """Return the motion-matching baseline, which gets the types and the trajectory of the test sequence."""
+    matching = Matching(dataset)
 
     def continues(sequence: HeldOut, number: int) -> Array:
         wanted = future_trajectory(sequence.data.ground, np.arange(len(sequence.data.types)))
-        rows: list[int] = []
-        present = sequence.data.features[sequence.initial - 1]
-        at = -1
+        rows: list[Array] = [sequence.data.features[sequence.initial - 1]]
+        matching.begin()
         for frame in range(sequence.frames):
             now = sequence.initial - 1 + frame
-            if frame % SEARCHED == 0 or at + 1 >= library.ends[at]:
-                allowed = np.flatnonzero(lasts & (library.types == sequence.data.types[now]))
-                if not len(allowed):
-                    allowed = np.flatnonzero(lasts)
-                query = library.matched(present[None], wanted[now][None])
-                cost = np.square(table[allowed] - query).sum(axis=1)
-                best = int(allowed[cost.argmin()])
-                stay = np.inf
-                if rows and at + 1 < library.ends[at]:
-                    stay = float(np.square(table[at] - query).sum())
-                at = best if float(cost.min()) < stay else at
-            at += 1
-            rows.append(at)
-            present = library.features[at]
-        return library.features[rows]
+            row = matching.next(frame, rows[-1], int(sequence.data.types[now]), wanted[now])
+            rows.append(matching.library.features[row])
+        return np.stack(rows[1:])
 
     return continues
 

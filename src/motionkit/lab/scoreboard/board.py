@@ -11,6 +11,7 @@ from motionkit.data.dataset import Dataset
 from motionkit.data.workers import worker_processes
 from motionkit.errors import ControlError, DatasetError
 from motionkit.lab.scoreboard.accuracy import accuracy_section
+from motionkit.lab.scoreboard.gaits import gaits_section
 from motionkit.lab.scoreboard.paths import paths_section
 from motionkit.lab.scoreboard.reconstruction import reconstruction_section
 from motionkit.lab.scoreboard.report import Scoreboard, Section
@@ -38,6 +39,7 @@ SECTIONS: dict[str, Measure] = {
     "variety": variety_section,
     "stability": stability_section,
     "reconstruction": reconstruction_section,
+    "gaits": gaits_section,
     "paths": paths_section,
     "response": response_section,
     "smoothness": smoothness_section,

@@ -252,7 +252,7 @@ def _speeds(trial: Trial, trials: list[PathTrial], groups: list[Sequence[Walk]])
             most,
             limit,
             stood,
-            float(np.mean([_steps(body) for body in bodies])),
+            float(np.mean([steps_a_second(body) for body in bodies])),
             _mean(planted_share, bodies),
             _mean(hover_share, bodies),
             _mean(leaps, bodies),
@@ -299,10 +299,10 @@ def _standing_seconds(body: Body) -> float:
     return max((end - start for start, end in spans(still)), default=0) / body.fps
 
 
-def _steps(body: Body) -> float:
-    """Return how often a second a toe is put down."""
+def steps_a_second(body: Body) -> float:
+    """Return how often a second a toe is put down; one that stands in the first frame does not count."""
     contacts = foot_contacts(body.positions, body.fps)
-    return sum(len(spans(contacts[:, toe] > 0.5)) for toe in (1, 3)) / body.seconds
+    return sum(start > 0 for toe in (1, 3) for start, _ in spans(contacts[:, toe] > 0.5)) / body.seconds
 
 
 def leaning(body: Body) -> tuple[float, float]:
