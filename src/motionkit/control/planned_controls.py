@@ -10,7 +10,7 @@ import numpy as np
 from motionkit.arrays import Array, length
 from motionkit.control.memory import Bodies, FoundStances
 from motionkit.control.momentum import carried_over
-from motionkit.control.plan import Plan
+from motionkit.control.plan import Plan, Segment
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.standing import settling
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, types_ahead
@@ -18,6 +18,7 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.motion.rotations import rotate_ground, wrap_angle
 
+LEAD = 45  # frames of a gait that lead to a performance; recorded runs last little longer; chosen
 FAR = 20.0  # cm; largest distance from its way that a gait makes up for; chosen
 
 
@@ -30,7 +31,7 @@ def plan_controls(model: MotionModel, plan: Plan, choice: int = 0) -> Controls:
     player, shown = ReferencePlayer(model, choice), plan.shown
     assert shown is not None
     asked = []
-    for segment in plan.segments:
+    for segment, after in zip(plan.segments, (*plan.segments[1:], None), strict=True):
         before = player.speed
         paused = player.ends and model.kind(segment.type) is MotionKind.PERFORMANCE
         if segment.first == 0:
@@ -38,7 +39,7 @@ def plan_controls(model: MotionModel, plan: Plan, choice: int = 0) -> Controls:
         else:
             player.begin(segment.type, paused=paused, settles=segment.settles)
         clip, at = player.clip, player.at
-        controls = player.play(segment.count, whole=True)
+        controls = _played(player, segment, after)
         if segment.settles:
             controls = settling(controls, before, model.fps)
         elif before is not None and clip is not None and not paused:
@@ -46,6 +47,18 @@ def plan_controls(model: MotionModel, plan: Plan, choice: int = 0) -> Controls:
         asked.append(controls)
     ahead = types_ahead(plan.weights) if model.plain else None
     return replace(Controls.concatenated(asked), type_weights=plan.weights, types_ahead=ahead)
+
+
+def _played(player: ReferencePlayer, segment: Segment, after: Segment | None) -> Controls:
+    """Controls of a segment; a gait before a performance ends in the step that the performance begins with."""
+    model = player.model
+    performs = after is not None and model.kind(after.type) is MotionKind.PERFORMANCE
+    if after is None or not performs or model.kind(segment.type) is not MotionKind.GAIT:
+        return player.play(segment.count, whole=True)
+    lead = min(segment.count, LEAD)
+    first = [player.play(segment.count - lead, whole=True)] if segment.count > lead else []
+    player.lead(after.type, lead)
+    return Controls.concatenated([*first, player.play(lead, whole=True)])
 
 
 class CrowdController:

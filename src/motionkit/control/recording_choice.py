@@ -14,9 +14,11 @@ from motionkit.arrays import Array
 from motionkit.control.momentum import ground_speeds, speeds_ahead
 from motionkit.control.motion_index import MotionIndex, pose_state, pose_states
 from motionkit.control.standing import about_zero, in_stance
+from motionkit.features.layout import feature_layout
 from motionkit.features.reference import BEFORE_EVENT, event_begins
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind, MotionType, ReferenceClip
+from motionkit.motion.skeleton import FOOT_JOINTS
 
 # Clips, each with its possible entry frames.
 Entries = list[tuple[ReferenceClip, list[int]]]
@@ -57,7 +59,21 @@ class MatchingSettings:
     clearly: float = 0.4  # share of the present cost that another frame must stay below
 
 
-ENTRY, MATCHING = EntrySettings(), MatchingSettings()
+@dataclass(frozen=True)
+class LeadingSettings:
+    """How a gait leads to a performance; chosen by the length of flights from runs to handsprings.
+
+    Attributes:
+        ahead: frames after the beginning of the performance at which feet are compared.
+        foot, speed: differences of foot joints (cm) and of speeds (cm/s) that cost as much as a pose value off by one.
+    """
+
+    ahead: tuple[int, ...] = (0, 5, 10)
+    foot: float = 10.0
+    speed: float = 20.0
+
+
+ENTRY, MATCHING, LEADING = EntrySettings(), MatchingSettings(), LeadingSettings()
 # Multiples of GOLDEN, modulo 1, fill 0 to 1 most evenly; multiples of the STEPS do nearly as well. GOLDEN leads from
 # choice to choice, and one of the STEPS from draw to draw; SIBLINGS successive choices share a step.
 GOLDEN, STEPS = (math.sqrt(5.0) - 1.0) / 2.0, tuple(math.sqrt(n) % 1.0 for n in (2.0, 3.0, 7.0, 11.0))
@@ -132,6 +148,7 @@ class RecordingChoice:
         self.draws = 0  # clips that have been drawn
         self.played = PlayedFrames(model.fps)
         self.stance: tuple[ReferenceClip, ...] = ()  # clips of standing, moved to the body's stance
+        self.expected: ReferenceClip | None = None  # performance that a gait leads to
         self.pace = 0.0  # cm/s; speed of the present stay in a gait
         self._indices: dict[str, MotionIndex] = {}
         self._gait_clips: dict[ReferenceClip, GaitClip] = {}
@@ -189,6 +206,48 @@ class RecordingChoice:
             self.pace = float(gait.speeds[at : max(int(gait.brakes[at]), at + 1)].mean())
         return clip, at
 
+    def leading(
+        self, kind: str, near: Array, performed: str, frames: int
+    ) -> tuple[ReferenceClip, int] | None:
+        """Find the clip and frame of a gait that lead in some frames to the first step of a performance.
+
+        The performance is entered next with the recording that is led to: one that begins on the other foot would make
+        the body float until its legs have changed.
+
+        Args:
+            near: (S, 24) present state of the body.
+            performed: type of the performance.
+
+        Returns:
+            None if no clip is long enough.
+        """
+        fps, ahead = self.model.fps, np.array(LEADING.ahead)
+        leads = [clip for clip in self.clips(kind) if len(clip) > frames + ahead[-1]]
+        goals = [goal for goal in self.clips(performed) if len(goal) > ahead[-1]]
+        if not leads or not goals:
+            return None
+        firsts = [np.arange(len(clip) - frames - ahead[-1]) for clip in leads]
+        begins, ends, speeds = (
+            np.concatenate([of(clip, at) for clip, at in zip(leads, firsts, strict=True)])
+            for of in (
+                lambda clip, at: np.square(pose_states(clip, at) - near).sum(axis=(1, 2)),
+                lambda clip, at: clip.poses[at[:, None] + frames + ahead],
+                lambda clip, at: ground_speeds(clip.ground, fps)[at + frames],
+            )
+        )
+        layout = feature_layout(self.model.config.layout)
+        feet = self.model.pose_embedding.columns(layout.block_columns("joint_positions", FOOT_JOINTS))
+        costs = np.stack([
+            begins
+            + np.square((ends - goal.poses[ahead]) @ feet / LEADING.foot).sum(axis=(1, 2))
+            + np.square((speeds - ground_speeds(goal.ground, fps)[0]) / LEADING.speed)
+            for goal in goals
+        ])  # fmt: skip
+        number, place = np.unravel_index(int(costs.argmin()), costs.shape)
+        self.expected = goals[number]
+        places = [(clip, at) for clip, first in zip(leads, firsts, strict=True) for at in first.tolist()]
+        return places[place]
+
     def better(self, kind: str, clip: ReferenceClip, at: int, trajectory: Array) -> tuple[ReferenceClip, int]:
         """Find a clip and frame that match a trajectory (24,) clearly better than the given ones; else return these."""
         index = self._index(kind)
@@ -229,7 +288,10 @@ class RecordingChoice:
         If the body has begun one to the left, a performance to the right would make it flip over.
         """
         suited = list(clips)
-        if near is not None:
+        expected, self.expected = self.expected, None
+        if any(clip is expected for clip in clips):
+            suited = [clip for clip in clips if clip is expected]
+        elif near is not None:
             states = np.stack([pose_state(clip, behind % len(clip)) for clip in clips])
             costs = np.square(states - near).sum(axis=(1, 2))
             most = 1.0 + ENTRY.suited * costs.min()

@@ -96,6 +96,13 @@ class ReferencePlayer:
         elif left is not None and paused:
             self.pause = Pause(left, self.clip, self.at)
 
+    def lead(self, performed: str, frames: int) -> None:
+        """Enter a recording of the present gait that leads to the beginning of a performance in some frames, if any."""
+        near = self._present()
+        found = None if near is None else self.recordings.leading(self.kind, near, performed, frames)
+        if found is not None and self.clip is not None and found != (self.clip, self.at):
+            self._jump(found)
+
     @property
     def ends(self) -> bool:
         """Whether a performance has played to its end."""
@@ -179,9 +186,14 @@ class ReferencePlayer:
             return
         found = self.recordings.better(self.kind, clip, self.at, trajectory)
         if found != (clip, self.at):
-            self.left = Crossfade(clip, self.at, *found, self.left)
-            self.clip, self.at = found
-            self.entered = self.arrives = self.at
+            self._jump(found)
+
+    def _jump(self, found: tuple[ReferenceClip, int]) -> None:
+        """Fade from the present recording into another frame of any recording of the type."""
+        assert self.clip is not None
+        self.left = Crossfade(self.clip, self.at, *found, self.left)
+        self.clip, self.at = found
+        self.entered = self.arrives = self.at
 
     def _stretch(self, count: int, trajectories: Array | None) -> Controls:
         """Controls of up to `count` frames of the present clip, until its end or the next search."""

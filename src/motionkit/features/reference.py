@@ -49,6 +49,10 @@ class PoseEmbedding:
         """Pose embeddings (..., 24) of unnormalised features (..., 276)."""
         return features @ self.matrix - self.offset
 
+    def columns(self, numbers: list[int]) -> Array:
+        """Matrix (24, N) from differences of embeddings to the least differences of N columns of the features."""
+        return np.linalg.pinv(self.matrix.astype(np.float64))[:, numbers]
+
 
 def fit_pose_embedding(features: Array, weights: Array, layout: FeatureLayout) -> PoseEmbedding:
     """Fit the principal components of the joint positions with the largest variance, each even or odd under mirroring.

@@ -19,6 +19,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
 
+TAKE_OFF_FRAMES = 3  # frames over which the speed of a take-off is measured; chosen
 # Joints that lift the whole body where they would go below the ground. Foot locking moves the feet.
 ABOVE = np.delete(np.arange(JOINT_COUNT), FOOT_JOINTS)
 
@@ -31,6 +32,7 @@ class HeightSettings:
         rise_frames: frames by which the body rises before a hand would go below the ground.
         flight_error: (least, most) error of the fall in m/s^2 that is corrected. Short flights of runs have less; a
             body on its hands or a gliding one has more.
+        take_off: cm/s by which a fall may begin faster upwards than the body does; a slower body has not taken off yet.
         ease_frames: frames over which a correction comes and goes.
         glide_height: cm above the ground up to which a body glides; a higher one flies.
         stands: cm by which standing feet are below the touch heights.
@@ -39,6 +41,7 @@ class HeightSettings:
 
     rise_frames: int = 10
     flight_error: tuple[float, float] = (0.75, 4.5)
+    take_off: float = 250.0
     ease_frames: int = 5
     glide_height: float = 6.0
     stands: float = 2.0
@@ -121,6 +124,14 @@ def _free_fall(positions: Array, fps: float, size: float) -> Array:
     for flight in flights(shown, ~touching(positions)):
         before, after = flight.start - 1, flight.end
         if before < 0 or after >= len(positions) or not least < abs(flight.error) <= most:
+            continue
+        fall = 0.5 * 100.0 * FREE_FALL * (after - before) / fps
+        climb = (heights[after] - heights[before]) * fps / (after - before) - fall
+        first = max(before - TAKE_OFF_FRAMES, 0)
+        if (
+            before > first
+            and climb - (heights[before] - heights[first]) * fps / (before - first) > HEIGHT.take_off
+        ):
             continue
         frames = np.arange(before, after + 1)
         since, left = frames - before, after - frames
