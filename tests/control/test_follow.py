@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array, spans
-from motionkit.control.follow import PathFollower, follow_path
+from motionkit.control.follow import GUIDED, PathFollower, follow_path
 from motionkit.control.path import SPACING, Path2D, PathPart, make_path, shape_path
 from motionkit.control.plan import plan_path
 from motionkit.control.speeds import PROFILE, lateral_limit, speed_profile
@@ -15,6 +15,7 @@ from motionkit.control.synthesize import SynthesisOptions
 from motionkit.errors import ControlError
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import ReferenceClip
 from motionkit.motion.rotations import rotate_ground
 
 
@@ -127,7 +128,23 @@ def test_a_performance_after_a_stop_is_shown(tiny_model: MotionModel) -> None:
     shown = [bool(np.abs(controls.reference).any()) for controls in asked]
     of_it = [float(controls.type_weights[0, tiny_model.type_id("cartwheel")]) for controls in asked]
     assert follower.finished and follower.player.kind == "cartwheel" and follower.entered == 1
-    assert not any(shown[:60]) and all(is_shown for is_shown, w in zip(shown, of_it, strict=True) if w == 1.0)
+    assert all(is_shown for is_shown, w in zip(shown, of_it, strict=True) if w == 1.0)
+
+
+@pytest.mark.parametrize(("seconds", "share"), [(3.0, GUIDED), (1.5, 0.0)])
+def test_gaits_with_long_recordings_show_them_on_paths(
+    tiny_model: MotionModel, seconds: float, share: float
+) -> None:
+    """Short recordings would follow one another too quickly for the feet."""
+    frames = round(60.0 * seconds)
+    clip = max(tiny_model.types["walking"].reference_clips, key=len)
+    assert len(clip) >= frames
+    clip = ReferenceClip(clip.poses[: frames + 30], clip.ground[:frames], clip.phases[:frames])
+    model = tiny_model.with_types({"walking": {"reference_clips": (clip,)}})
+    follower = following(model, make_path([PathPart(np.array([[0.0, 0.0], [0.0, 400.0]]), "walking", 130.0)]))
+    _, asked = walk_obediently(follower, follower.route.path, 200)
+    gains = np.array([float(controls.reference_gain[0]) for controls in asked])
+    assert gains == pytest.approx(share * model.types["walking"].preset.reference_gain)
 
 
 def test_bodies_slow_down_before_turns_the_more_the_sharper(tiny_model: MotionModel) -> None:

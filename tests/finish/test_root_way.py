@@ -82,7 +82,8 @@ def test_what_is_written_keeps_to_the_limits_and_the_raw_motion_does_not() -> No
     assert limit is not None
     for each in made.motions:
         assert each.raw is not None
-        assert hardest(each.motion) < 1.02 * limit < hardest(each.raw)
+        # Foot locking comes after the limit, and may shift the hips a little.
+        assert hardest(each.motion) < 1.05 * limit < hardest(each.raw)
 
 
 def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> Array:
