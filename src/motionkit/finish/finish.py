@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from motionkit.arrays import Array
 from motionkit.finish.feet import lock_feet
+from motionkit.finish.hands import fingers_above
 from motionkit.finish.root_height import above_ground, in_the_air
 from motionkit.finish.root_way import held_way
 from motionkit.motion.motion import Motion
@@ -45,7 +46,7 @@ def finish(motion: Motion, contacts: Array, told: Finish) -> Motion:
     """Return the finished motion: each correction runs once, in this order (docs/rollout.md measures each).
 
     The body rises out of the ground before foot locking. Flights come last, because the legs decide where a flight
-    begins and ends.
+    begins and ends. Wrists come last of all, because they move no other joint.
 
     Args:
         motion: T frames on the canonical joints, in cm, the ground at height zero.
@@ -54,4 +55,4 @@ def finish(motion: Motion, contacts: Array, told: Finish) -> Motion:
     """
     motion = held_way(above_ground(motion), contacts, told.hold, told.most)
     motion = lock_feet(motion, contacts)
-    return in_the_air(motion, told.size) if told.drawn else motion
+    return fingers_above(in_the_air(motion, told.size)) if told.drawn else motion
