@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,6 +33,7 @@ from motionkit.training.budgets import BUDGETS
 
 if TYPE_CHECKING:
     from motionkit.training.options import TrainOptions
+    from motionkit.training.report import TrainEvent
 
 BUNDLED, BUNDLED_PRESET = "bundled", "tptn"  # the model that training starts from, and its preset
 PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tiny")
@@ -85,6 +87,7 @@ class Run:
 
     output: Path
     run_folder: Path | None
+    log_dir: Path | None
     preview: Path | None
     force: bool
     resume: bool
@@ -192,6 +195,11 @@ class Run:
     type=FOLDER,
     help="Folder for checkpoint, log.jsonl and samples; beside the model by default.",
 )
+@click.option(
+    "--log-dir",
+    type=FOLDER,
+    help="Folder for log.csv and, where TensorBoard is installed, its event files.",
+)
 @option("--device", default="auto", help="Device to train on: auto, cpu, cuda, cuda:1 ...")
 @option(
     "--precision",
@@ -235,13 +243,20 @@ def command(
 
     import motionkit as mk
     from motionkit.data.amounts import small_types
+    from motionkit.training.log_folder import LogFolder
 
     options = _options(preset, init, begins.add, score_minutes or (1.0 if run.preview else None), changes)
     monitor = TrainingMonitor(
         run.as_json, options, run.preview, run.folder / "samples", small_types(mk.Dataset(dataset))
     )
-    with monitor:
-        result = mk.train(dataset, run.output, options, run.resume, run.run_folder, device, monitor)
+    with monitor, LogFolder(run.log_dir) if run.log_dir else nullcontext() as logs:
+
+        def tell(event: TrainEvent) -> None:
+            monitor(event)
+            if logs is not None:
+                logs(event)
+
+        result = mk.train(dataset, run.output, options, run.resume, run.run_folder, device, tell)
     if not monitor.first_process:
         return
     summary = {
