@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from motionkit.arrays import Array, spans
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.features.reference import REFERENCE_OFFSETS
 from motionkit.models.model import MotionModel
@@ -33,6 +34,8 @@ STANCES, STANCE_SHARE = 20, 0.85
 # Total seconds of a type's reference clips, and the most if a part of every recording takes longer than that.
 REFERENCE_SECONDS, MOST_SECONDS = 80.0, 300.0
 LONGEST_REFERENCE, SHORTEST_REFERENCE = 10.0, 1.0  # seconds of one reference clip
+# A recording whose lowest joint is more than ALOFT cm above the floor for more than LONGEST_LEAP seconds climbs.
+ALOFT, LONGEST_LEAP = 10.0, 0.8
 # A reference clip is cut where the body comes to rest: no later frame moves more than this share of the type's mean.
 REST = 0.35
 
@@ -168,7 +171,8 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
 
     For types with a phase, clips with the most frames of it come first. For other types, clips that move about as much
     as the type's mean come first, because recordings begin and end with standing. If some recordings do not fit, every
-    recording contributes once before any mirrored clip, and the total may grow to MOST_SECONDS.
+    recording contributes once before any mirrored clip, and the total may grow to MOST_SECONDS. Recordings of bodies
+    that climb are left out: without the stairs they would walk on air.
     """
     wanted, fps = dataset.types.index(kind), dataset.fps
     longest, room = round(LONGEST_REFERENCE * fps), round(REFERENCE_SECONDS * fps)
@@ -187,6 +191,8 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
         step = end - start if performed else longest
         for first in range(0, end - start, step):
             last = min(first + step, end - start)
+            if _climbs(dataset, whole.features[first:last]):
+                continue
             ahead = poses[first : last + REFERENCE_OFFSETS[-1]]
             found.append(
                 (clip.name, ReferenceClip(ahead, whole.ground[first:last], whole.phases[first:last]))
@@ -214,6 +220,14 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
             one_of_each = sum(map(len, ordered[: len(every)])) / fps
             room = round(min(max(REFERENCE_SECONDS, one_of_each), MOST_SECONDS) * fps)
     return _with_room(ordered, room)
+
+
+def _climbs(dataset: Dataset, features: Array) -> bool:
+    """Whether a body stands on something unknown: all joints are above the floor for longer than in any leap."""
+    columns = dataset.layout.columns
+    heights = [i for i, each in enumerate(columns) if (each.block, each.component) == ("joint_positions", 1)]
+    aloft = spans(features[:, heights].min(axis=1) > ALOFT)
+    return max((end - start for start, end in aloft), default=0) > LONGEST_LEAP * dataset.fps
 
 
 def _with_room(ordered: Sequence[ReferenceClip], room: int) -> list[ReferenceClip]:
