@@ -83,6 +83,7 @@ def command(model: str, dataset: Path, **options: Any) -> None:
     variety         how far seeds are apart, what they show of the recordings
     stability       whether long roll-outs keep moving and stay on the floor
     reconstruction  held-out clips, rolled out from their first frames
+    gaits           how steadily gaits go, tight circles, how often types step
     paths           distance from the paths to follow
     response        seconds from a command to the response
     smoothness      joints and braking in transitions that no clip contains
