@@ -78,7 +78,7 @@ def test_recordings_of_a_stay_have_its_speed(model: MotionModel) -> None:
         clip, at = recordings.entry("walking", near, within=True) or found
         end = recordings.leaves("walking", clip, at)
         gone = np.linalg.norm(clip.ground[end - 1, :2] - clip.ground[at, :2]) / (end - 1 - at) * model.fps
-        assert gone == pytest.approx(recordings.pace, rel=ENTRY.leaving_pace)
+        assert gone == pytest.approx(recordings.pace, rel=ENTRY.pace[1])
 
 
 def test_a_run_ends_in_the_step_that_the_performance_begins_with(model: MotionModel) -> None:

@@ -45,8 +45,7 @@ class EntrySettings:
     other_speed: float = 60.0
     # Differences between the speed of a gait's recording and that of the stay, as shares of the latter: the largest at
     # an entry, and the one at which the recording is left.
-    other_pace: float = 0.05
-    leaving_pace: float = 0.15
+    pace: tuple[float, float] = (0.05, 0.15)
     played: float = 0.5  # largest share already played of the seconds after an entry frame
     few_seconds: float = 12.0  # of recordings of a type that `few` keeps
 
@@ -261,7 +260,7 @@ class RecordingChoice:
         """The frame at which a free gait leaves a clip: where it brakes, or loses the speed of the stay."""
         gait = self._gait_clip(kind, clip)
         end = int(gait.brakes[min(entered, len(clip) - 1)])
-        other = np.abs(gait.speeds[entered:end] - self.pace) > ENTRY.leaving_pace * self.pace
+        other = np.abs(gait.speeds[entered:end] - self.pace) > ENTRY.pace[1] * self.pace
         least = round(ENTRY.gait_seconds * self.model.fps)
         other[:least] = False
         return entered + int(other.argmax()) if other.any() else end
@@ -326,7 +325,7 @@ class RecordingChoice:
     def _at_pace(self, kind: str, found: Entries) -> Entries:
         """Keep the entry frames of a gait after which its speed is that of the stay, as nearly as recorded."""
         gaps = [np.abs(self._gait_clip(kind, clip).speeds[frames] - self.pace) for clip, frames in found]
-        most = max(ENTRY.other_pace * self.pace, min(float(gap.min()) for gap in gaps if len(gap)))
+        most = max(ENTRY.pace[0] * self.pace, min(float(gap.min()) for gap in gaps if len(gap)))
         return _kept(found, gaps, most)
 
     def _fresh(self, found: Entries) -> Entries:
@@ -359,7 +358,7 @@ class RecordingChoice:
                 if (until - frames > least).any():
                     brakes, entries = until, np.flatnonzero(until - frames > least)
                 second = sliding_window_view(speeds, least)[entries]
-                steady = np.abs(second - second[:, :1]).max(axis=1) <= ENTRY.leaving_pace * second[:, 0]
+                steady = np.abs(second - second[:, :1]).max(axis=1) <= ENTRY.pace[1] * second[:, 0]
                 entries = entries[steady] if steady.any() else entries
             self._gait_clips[clip] = GaitClip(entries.tolist(), brakes, speeds)
         return self._gait_clips[clip]

@@ -32,7 +32,7 @@ from motionkit.seeds import check_seed
 MAX_FRAMES = 500_000  # of all characters together, at the higher of model and file rate; takes 4 GB of memory
 # Share of foot sliding that the root of a gait follows; chosen. With all of it, the speed of walks varies twice as much
 # as recorded.
-GAIT_HOLD = 0.5
+GAIT_HOLD = 0.7
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from motionkit.training.report import TrainEvent
+if TYPE_CHECKING:
+    from motionkit.training.report import TrainEvent
 
 TABLE = "log.csv"
 
