@@ -9,7 +9,7 @@ import { build } from "esbuild";
 const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "..", "src", "motionkit", "assets", "web");
 const DEMO_HEAD = `<meta name="description" content="A person who walks, runs, dances and turns cartwheels as you ask, made by a small neural network in this page.">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'unsafe-inline'; connect-src 'self'; img-src data: blob:; worker-src 'self'; base-uri 'none'; form-action 'none'">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'unsafe-inline'; connect-src 'self' blob: data:; img-src data: blob:; worker-src 'self'; base-uri 'none'; form-action 'none'">
 `;
 const DEMO_BODY = `<noscript><div class="notice">This page needs JavaScript: it runs the model.</div></noscript>
 <script type="application/json" id="data">__DATA__</script>
@@ -48,7 +48,7 @@ async function page(name) {
   const source = (file) => readFileSync(join(here, "src", file), "utf8");
   const parts = { __SOURCE__: sourceHash(), __STYLE__: source("lib/theme.css") + source(`${folder}/style.css`), __SCRIPT__: script, __NAME__: name };
   const licence = readFileSync(join(here, "node_modules/three/LICENSE"), "utf8").trim();
-  const notice = `<!-- Contains three.js:\n\n${licence}\n-->\n`;
+  const notice = `<!-- Contains three.js:\n\n${licence}\n\nand three-vrm:\n\n${readFileSync(join(here, "node_modules/@pixiv/three-vrm/LICENSE"), "utf8").trim()}\n-->\n`;
   const html = source(`${folder}/index.html`).replace("<head>\n", `<head>\n${notice}`).replace("__HEAD__", head).replace("__BODY__", body);
   return html.replace(/__(SOURCE|STYLE|SCRIPT|NAME)__/g, (mark) => parts[mark]);
 }

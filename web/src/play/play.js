@@ -139,8 +139,10 @@ export class Play {
       if (known.color !== color) known.figure.color = new Color((known.color = color));
       return;
     }
+    const hero = await rig.newHero();
+    if (this.told.get(id)?.body !== body) return hero?.dispose();
     this.#remove(id);
-    const figure = new Figure(rig, new Color(color), this.stage.plain);
+    const figure = new Figure(rig, new Color(color), this.stage.plain, hero);
     figure.visible = false; // hidden until its first frame
     this.stage.scene.add(figure);
     this.characters.set(id, { id, body, owner: this.told.get(id).owner, color, figure, rig, pose: new Pose(rig.count) });
