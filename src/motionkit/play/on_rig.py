@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS, Skeleton, c
 from motionkit.play.frames import Shown, rounded
 from motionkit.rig.rig import Rig, stance_part
 from motionkit.rig.to_rig import THIGHS, from_body, rig_body, standing_height
+from motionkit.view.character_data import page_bytes, rig_joints
 
 # cm, median ankle height in the training recordings while heel and toe are in contact.
 STANDING_ANKLE = 7.6
@@ -69,6 +71,13 @@ class LiveRig:
             "parents": list(skeleton.parents),
             "offsets": rounded(skeleton.offsets, 6),
         }
+
+    def hero(self) -> dict[str, Any]:
+        """The rig's character for the page, which poses it as pose does; raises MotionkitError if it cannot be shown."""
+        character = self.rig.character
+        assert character is not None
+        data = base64.b64encode(page_bytes(character.tree.file)).decode()
+        return rig_joints(self.rig, self._raised, self._lift) | {"data": data}
 
     def pose(self, one: Shown) -> dict[str, Any]:
         """A character on the rig: local rotations (J, 4) and positions (J, 3), in the rig's unit and axes."""

@@ -1,7 +1,7 @@
 // A skeleton and its forward kinematics.
 
 import { Hero, readCharacter } from "./hero.js";
-import { unpack } from "./pack.js";
+import { bytesOf, unpack } from "./pack.js";
 
 export class Rig {
   /** The rig of figure_data: names, hierarchy, offsets, and the body around it, in metres, or the hero in its place. */
@@ -16,7 +16,7 @@ export class Rig {
     rig.stature = data.stature;
     rig.offsets = await unpack(data.offsets);
     const { body } = data;
-    rig.hero = data.hero;
+    rig.hero = data.hero && { bytes: () => bytesOf(data.hero.data).buffer, ...data.hero };
     rig.body = body && {
       points: (await unpack(body.points)),
       triangles: await unpack(body.triangles),

@@ -3,7 +3,6 @@
 import { Color, Group, Vector3 } from "three";
 import { button, element, fillHelp, icon, initialTheme, toggle } from "../lib/dom.js";
 import { Clip, Figure, Footprints, Labels, Ribbon, Stage } from "../lib/scene.js";
-import { bytesOf } from "../lib/pack.js";
 import { Timeline } from "./timeline.js";
 
 const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac", "#c7a227", "#8d97a8"];
@@ -404,7 +403,7 @@ async function start() {
   const data = JSON.parse($("data").textContent);
   document.title = data.title;
   document.documentElement.toggleAttribute("data-bare", Boolean(data.bare));
-  for (const { hero } of data.motions) if (hero) hero.bytes = () => bytesOf(data.characters[hero.file]).buffer;
+  for (const { hero } of data.motions) if (hero) hero.data = data.characters[hero.file];
   const viewer = new Viewer(await Promise.all(data.motions.map((motion) => Clip.from(motion))));
   viewer.choose(0);
   viewer.frameAll();
