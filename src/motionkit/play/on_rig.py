@@ -14,9 +14,11 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS, Skeleton, canonical_skeleton
 from motionkit.play.frames import Shown, rounded
-from motionkit.rig.rig import Rig, stance_part
+from motionkit.rig import names, rest_pose
+from motionkit.rig.gltf_nodes import VRM_BONES
+from motionkit.rig.rig import PLAUSIBLE_STANCE, Rig, stance_part
 from motionkit.rig.to_rig import THIGHS, from_body, rig_body, standing_height
-from motionkit.view.character_data import page_bytes, rig_joints
+from motionkit.view.character_data import MAX_BYTES, page_bytes, rig_joints
 
 # cm, median ankle height in the training recordings while heel and toe are in contact.
 STANDING_ANKLE = 7.6
@@ -48,6 +50,13 @@ def _ankles_higher(body: Skeleton) -> Array:
     """
     depth = float((canonical_skeleton().offsets - body.offsets)[_TOES, 1].mean())
     return np.array([0.0, max(depth, 0.0), 0.0], np.float32)
+
+
+def rig_tables() -> dict[str, Any]:
+    """All that a page needs to do the same with a rig by itself, as JSON values (web/src/demo/rig.js)."""
+    heights = {"ToeBase": STANDING_HEIGHTS[1], "Foot": STANDING_ANKLE}
+    known = {"bones": VRM_BONES, "standing": heights, "plausible": PLAUSIBLE_STANCE, "mostBytes": MAX_BYTES}
+    return {**names.tables(), **rest_pose.tables(), **known}
 
 
 class LiveRig:

@@ -5,8 +5,9 @@ export const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.
 
 const KINDS = { f4: Float32Array, i2: Int16Array, u2: Uint16Array, u1: Uint8Array };
 
-/** The numbers of a packed field, row by row; `shape` gives the number of rows. */
+/** The numbers of a packed field, or of one that is unpacked already, row by row; `shape` gives the number of rows. */
 export async function unpack(field) {
+  if (ArrayBuffer.isView(field)) return field;
   const stream = new Blob([bytesOf(field.data)]).stream().pipeThrough(new DecompressionStream("deflate"));
   const numbers = new KINDS[field.type](await new Response(stream).arrayBuffer());
   if (field.type !== "f4") {

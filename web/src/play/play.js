@@ -580,6 +580,15 @@ export class Play {
     }
   }
 
+  /** Offers one more body, and puts it on the steered character. */
+  offer(name) {
+    if (!this.hello.bodies.some((body) => body.name === name)) this.hello.bodies.push({ name });
+    this.rigs.delete(name);
+    this.#tools();
+    this.#who();
+    this.link.ask("body", { character: this.chosen, body: name });
+  }
+
   add() {
     this.link.ask("add", { body: this.told.get(this.chosen)?.body ?? "default" });
   }
