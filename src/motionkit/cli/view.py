@@ -59,7 +59,7 @@ def _open_rig(rig_path: Path | None, map_path: Path | None) -> RigChoice:
     "--rig",
     "rig_path",
     type=RIG_FILE,
-    help="Show the clips on the rig of this file (.bvh, .glb, .vrm) or @NAME. The page shows the character of a .glb or "
+    help="Show the clips on the rig of this file (.bvh, .glb, .vrm) or @NAME. A page shows the character of a .glb or "
     ".vrm with its meshes; pictures show its joints.",
 )
 @map_option
@@ -132,7 +132,7 @@ def command(
 
 
 def _shown(path: Path, name: str, rig: Rig | None) -> Shown:
-    """Read the motion of a .glb or .vrm file, or of a BVH file with any ending, and put it on the rig if there is one."""
+    """Read the motion of a .glb or .vrm, or of a BVH file with any ending, and put it on the rig if there is one."""
     from motionkit.export.clip import Clip
     from motionkit.export.formats import read_clip
     from motionkit.finish.on_rig import on_rig

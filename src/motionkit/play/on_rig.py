@@ -14,7 +14,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS, Skeleton, canonical_skeleton
 from motionkit.play.frames import Shown, rounded
-from motionkit.rig import names, rest_pose
+from motionkit.rig import names, rest_pose, twist
 from motionkit.rig.gltf_nodes import VRM_BONES
 from motionkit.rig.rig import PLAUSIBLE_STANCE, Rig, stance_part
 from motionkit.rig.to_rig import THIGHS, from_body, rig_body, standing_height
@@ -56,7 +56,7 @@ def rig_tables() -> dict[str, Any]:
     """All that a page needs to do the same with a rig by itself, as JSON values (web/src/demo/rig.js)."""
     heights = {"ToeBase": STANDING_HEIGHTS[1], "Foot": STANDING_ANKLE}
     known = {"bones": VRM_BONES, "standing": heights, "plausible": PLAUSIBLE_STANCE, "mostBytes": MAX_BYTES}
-    return {**names.tables(), **rest_pose.tables(), **known}
+    return {**names.tables(), **rest_pose.tables(), **twist.tables(), **known}
 
 
 class LiveRig:
@@ -82,7 +82,7 @@ class LiveRig:
         }
 
     def hero(self) -> dict[str, Any]:
-        """The rig's character for the page, which poses it as pose does; raises MotionkitError if it cannot be shown."""
+        """The rig's character for the page, posed as pose does; raises MotionkitError if it cannot be shown."""
         character = self.rig.character
         assert character is not None
         data = base64.b64encode(page_bytes(character.tree.file)).decode()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,11 @@ from motionkit.rig.rig import Rig
 _BONES = {"Arm": "ForeArm", "ForeArm": "Hand", "UpLeg": "Leg", "Leg": "Foot"}  # limb joints and their ends
 _WORDS = ("twist", "roll")
 _STRAIGHT = 0.005  # share of the bone by which a joint along it may lie off its axis, and still turn about it
+
+
+def tables() -> dict[str, Any]:
+    """What twist joints are, as JSON values for a page (see rig/names.py)."""
+    return {"twistBones": _BONES, "twistWords": _WORDS, "twistStraight": _STRAIGHT}
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +51,7 @@ def spread_twist(rig: Rig, local: Doubles) -> None:
     for one in twists(rig):
         angle = twist(local[:, one.source], one.axis)
         if one.taken:
-            local[:, one.source] = quat_normalize(
-                quat_multiply(local[:, one.source], turn(-angle, one.axis))
-            )
+            local[:, one.source] = quat_normalize(quat_multiply(local[:, one.source], turn(-angle, one.axis)))
         for joint, share in one.shares.items():
             local[:, joint] = turn(share * angle, one.axis)
 

@@ -3,6 +3,7 @@
 import { Group, Matrix4, Quaternion, Vector3 } from "three";
 import { readCharacter } from "../lib/hero.js";
 import { Rig } from "../lib/rig.js";
+import { findJoints } from "./joints.js";
 import { rigOf } from "./rig.js";
 
 const CM = 0.01;
@@ -16,10 +17,12 @@ export async function heroBody(file, usual, tables) {
   checkTree(json);
   const lacking = (json.extensionsRequired ?? []).filter((name) => /draco|basisu/.test(name));
   if (lacking.length) throw new Error(`it is compressed (${lacking.join(", ")}), which this page does not unpack; save it without`);
+  const joints = findJoints(json, tables);
+  if (!json.meshes?.length) throw new Error("it has no meshes to show");
   const read = await readCharacter(bytes).catch((error) => {
     throw new Error(`it cannot be read (${error.message})`);
   });
-  const { data, offsets, map } = rigOf(read, tables);
+  const { data, offsets, map } = rigOf(read, joints, tables);
   return { ...usual, offsets: offsets.map((cm) => cm * CM), body: null, hero: { ...data, bytes: () => bytes }, kernel: offsets, map };
 }
 

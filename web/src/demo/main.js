@@ -46,7 +46,9 @@ async function wear(play, file) {
   try {
     play.say(`Reading ${file.name} …`);
     const body = await heroBody(file, link.bodies.default, rigs);
-    const name = /\.(glb|vrm)$/i.test(file.name) ? file.name : `${file.name}.glb`;
+    const [, stem, ending] = /^(.*?)(\.vrm|\.glb)?$/i.exec(file.name);
+    let name = `${stem}${ending ?? ".glb"}`;
+    for (let n = 2; link.bodies[name]; n++) name = `${stem} ${n}${ending ?? ".glb"}`;
     link.bodies[name] = body;
     play.offer(name);
     play.say(`${file.name} stays on this machine. Record gives it back with the motion in it.`);

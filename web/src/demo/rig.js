@@ -2,7 +2,7 @@
 // poses, rig/to_rig.py gives the body of the rig, play/on_rig.py its height.
 
 import { Matrix4, Quaternion, Vector3 } from "three";
-import { findJoints, mapJoints } from "./joints.js";
+import { mapJoints } from "./joints.js";
 
 const CM = 0.01;
 const UP = new Vector3(0, 1, 0);
@@ -15,10 +15,9 @@ const product = (...turns) => turns.reduce((all, turn) => all.multiply(turn), ne
 
 /**
  * The data of character_data.py for live motion on a character, and the offsets (23 × 3, cm) of its body for the kernels.
- * @param {object} read result of readCharacter @param {object} tables of on_rig.py's rig_tables
+ * @param {object} read result of readCharacter @param {object} joints of findJoints @param {object} tables of on_rig.py's rig_tables
  */
-export function rigOf(read, tables) {
-  const joints = findJoints(read.parser.json, tables);
+export function rigOf(read, joints, tables) {
   const objects = joints.nodes.map((node) => read.nodes[node]);
   for (const scene of read.scenes) scene.updateMatrixWorld(true);
   if (objects.some(({ matrixWorld }) => !(matrixWorld.determinant() > 0))) throw new Error("it has mirrored or flat bones (negative scale or zero); apply the scale");
@@ -34,9 +33,10 @@ export function rigOf(read, tables) {
     const { w, x, y, z } = differences[carrier].clone().invert().multiply(world(objects[joint]));
     return [joints.nodes[joint], carrier, w, x, y, z];
   });
+  const twists = rest.twists(path, (joint, way) => rotated(world(objects[joint].parent).invert(), way).toArray());
   const moves = [[joints.nodes[top], joints.nodes[map.Hips], 0]];
   const { raised, lift, offsets } = rest.stand();
-  const data = { scale: rest.scale * CM, turn: [1, 0, 0, 0], drives, moves, twists: [], raised: raised.multiplyScalar(CM).toArray(), lift: [0, lift * CM, 0] };
+  const data = { scale: rest.scale * CM, turn: [1, 0, 0, 0], drives, moves, twists, raised: raised.multiplyScalar(CM).toArray(), lift: [0, lift * CM, 0] };
   return { data, offsets, map: Object.fromEntries(Object.entries(map).map(([name, joint]) => [name, joints.names[joint]])) };
 }
 
@@ -171,6 +171,33 @@ class RestPose {
     const yaw = heading(own) - heading(rotated(flat, usual));
     if (Math.abs(yaw) > radians(15)) flat.premultiply(new Quaternion().setFromAxisAngle(UP, yaw));
     return product(frame, flat);
+  }
+
+  /** The limb bones with twist joints, as twist.py; axis turns a direction into the axes of a joint's parent. */
+  twists(path, axis) {
+    const { nodes, names, parents, places, map, tables } = this;
+    const out = [];
+    for (const [name, end] of Object.entries(map)) {
+      const [, side, below] = /^(Left|Right)(.+)/.exec(name) ?? [];
+      const part = Object.keys(tables.twistBones).find((one) => tables.twistBones[one] === below);
+      const top = map[side + part];
+      if (top === undefined || !path(end).includes(top)) continue;
+      const bone = places[end].clone().sub(places[top]);
+      const size = bone.length();
+      const way = bone.clone().normalize();
+      const chain = path(end).slice(path(end).indexOf(top) + 1, -1);
+      const along = (joint) => places[joint].clone().sub(places[top]);
+      const isTwist = (joint) => [top, ...chain].includes(parents[joint]) && tables.twistWords.some((word) => names[joint].toLowerCase().includes(word));
+      const beside = names.flatMap((_, joint) => (isTwist(joint) && !Object.values(map).some((other) => path(other).includes(joint)) ? [joint] : []));
+      const upper = part === "Arm" || part === "UpLeg";
+      const straight = chain.length && chain.every((joint) => along(joint).projectOnPlane(way).length() <= tables.twistStraight * size);
+      if (!size || !(beside.length || straight)) continue;
+      const share = (joint) => (beside.length ? Math.min(1, Math.max(0, along(joint).dot(way) / size)) - upper : 1 / chain.length);
+      const source = beside.length && !upper ? end : top;
+      const shares = (beside.length ? beside : chain).map((joint) => [nodes[joint], share(joint), ...axis(joint, way)]);
+      out.push({ node: nodes[source], axis: axis(source, way), taken: !beside.length, shares });
+    }
+    return out;
   }
 
   /** The body's offsets (cm, 23 × 3) raised to its feet, how far it was raised, and the lift of the whole. */
