@@ -146,11 +146,11 @@ def _shown(path: Path, name: str, rig: Rig | None) -> Shown:
         clip = Clip(on_rig(read_on_any_rig(path, rig)[0], rig), character=rig.character)
     else:
         clip = read_clip(path) if is_gltf(path) else Clip(bvh_to_motion(read_bvh(path)))
-    character = clip.character if clip.character and clip.character.has_mesh else None
-    if character is None:
+    shown = Shown(name, clip.motion, character=clip.character)
+    if shown.hero is None:
         with naming(path):
             check_bones(clip.motion)
-    return Shown(name, clip.motion, character=character)
+    return shown
 
 
 def _names(clips: Sequence[Path]) -> list[str]:

@@ -40,7 +40,7 @@ class Shown:
         motion: in any unit, with Y or Z up.
         types: motion types and their seconds in sequence; empty if unknown.
         path: (N, 2) x, z of the requested path in cm, or None.
-        character: the .glb or .vrm file whose joints the motion is on, to show instead of a figure; or None.
+        character: the .glb or .vrm file that the motion is for, or None.
     """
 
     name: str
@@ -48,6 +48,12 @@ class Shown:
     types: Sequence[tuple[str, float]] = ()
     path: Array | None = None
     character: Character | None = None
+
+    @property
+    def hero(self) -> Character | None:
+        """The character, to be shown instead of a figure, if it has meshes and the motion is on its joints."""
+        one = self.character
+        return one if one is not None and one.has_mesh and one.holds(self.motion) else None
 
 
 def shown_motions(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[Shown]:
@@ -81,7 +87,7 @@ def figure_data(shown: Shown) -> dict[str, Any]:
     motion = metres.motion
     figure = motion_figure(motion)
     path = None if shown.path is None else pack(shown.path.astype(np.float64) * CM, "f4")
-    character, hero = shown.character, None
+    character, hero = shown.hero, None
     if character is not None:
         unit = metres.scale / character.metres(shown.motion)
         hero = own_joints(character, [0, *motion.moving_joints()[1:]], unit, metres.up)

@@ -28,11 +28,12 @@ def viewer_page(shown: Sequence[Shown], title: str = "", bare: bool = False) -> 
     if not 0 < len(shown) <= MAX_MOTIONS:
         raise MotionkitError(f"a viewer file shows 1 to {MAX_MOTIONS} motions, found {len(shown)}")
     named = title or " · ".join(one.name for one in shown)
-    characters = list(dict.fromkeys(one.character.tree.file for one in shown if one.character))
+    heroes = [one.hero for one in shown]
+    characters = list(dict.fromkeys(hero.tree.file for hero in heroes if hero))
     motions = [figure_data(one) for one in shown]
-    for one, motion in zip(shown, motions, strict=True):
-        if one.character is not None:
-            motion["hero"]["file"] = characters.index(one.character.tree.file)
+    for hero, motion in zip(heroes, motions, strict=True):
+        if hero is not None:
+            motion["hero"]["file"] = characters.index(hero.tree.file)
     data = {
         "title": f"{named} · motionkit",
         "bare": bare,
