@@ -36,7 +36,7 @@ function tools(play) {
       await navigator.clipboard.writeText(address).then(() => play.say(link, " copied: it does all of this again."), () => play.say(link, ": it does all of this again. It is in the address bar too."));
     }
   });
-  const choice = element("input", { type: "file", accept: ".glb,.vrm", hidden: true, onchange: () => choice.files[0] && wear(play, choice.files[0]) });
+  const choice = element("input", { type: "file", accept: ".glb,.vrm", hidden: true, ariaLabel: "File of your character", onchange: () => choice.files[0] && wear(play, choice.files[0]) });
   return [button("Your character", "A .glb or .vrm file of yours moves instead; nothing is sent anywhere", () => choice.click()), choice, share];
 }
 
