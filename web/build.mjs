@@ -9,7 +9,7 @@ import { build } from "esbuild";
 const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "..", "src", "motionkit", "assets", "web");
 const DEMO_HEAD = `<meta name="description" content="A person who walks, runs, dances and turns cartwheels as you ask, made by a small neural network in this page.">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'unsafe-inline'; connect-src 'self'; img-src data: blob:; worker-src 'self'; base-uri 'none'; form-action 'none'">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'unsafe-inline'; connect-src 'self' blob: data:; img-src data: blob:; worker-src 'self'; base-uri 'none'; form-action 'none'">
 `;
 const DEMO_BODY = `<noscript><div class="notice">This page needs JavaScript: it runs the model.</div></noscript>
 <script type="application/json" id="data">__DATA__</script>
@@ -29,6 +29,10 @@ function sourceHash() {
   return hash.digest("hex");
 }
 
+if (!existsSync(join(here, "node_modules"))) throw new Error("run `npm ci` first");
+const licences = ["three", "@pixiv/three-vrm"].map((name) => `${readFileSync(join(here, "node_modules", name, "LICENSE"), "utf8").trim()}\n\n`).join("") +
+  "The decoder of meshoptimizer, within three.js, is under the same terms.\nCopyright (C) 2016-2026, by Arseny Kapoulkine\n";
+
 async function page(name) {
   const bundle = async (file, loader) => {
     const result = await build({
@@ -47,13 +51,11 @@ async function page(name) {
   const [folder, head, body] = PAGES[name];
   const source = (file) => readFileSync(join(here, "src", file), "utf8");
   const parts = { __SOURCE__: sourceHash(), __STYLE__: source("lib/theme.css") + source(`${folder}/style.css`), __SCRIPT__: script, __NAME__: name };
-  const licence = readFileSync(join(here, "node_modules/three/LICENSE"), "utf8").trim();
-  const notice = `<!-- Contains three.js:\n\n${licence}\n-->\n`;
+  const notice = `<!-- Contains three.js and three-vrm:\n\n${licences}-->\n`;
   const html = source(`${folder}/index.html`).replace("<head>\n", `<head>\n${notice}`).replace("__HEAD__", head).replace("__BODY__", body);
   return html.replace(/__(SOURCE|STYLE|SCRIPT|NAME)__/g, (mark) => parts[mark]);
 }
 
-if (!existsSync(join(here, "node_modules"))) throw new Error("run `npm ci` first");
 mkdirSync(out, { recursive: true });
 for (const name of Object.keys(PAGES)) {
   const file = join(out, `${name}.html`);
@@ -63,5 +65,5 @@ for (const name of Object.keys(PAGES)) {
   } else writeFileSync(file, html);
   console.log(`${name}.html ${(html.length / 1024).toFixed(0)} KiB`);
 }
-copyFileSync(join(here, "node_modules/three/LICENSE"), join(out, "three-LICENSE.txt"));
+writeFileSync(join(out, "three-LICENSE.txt"), licences);
 copyFileSync(join(here, "src/demo/sw.js"), join(out, "demo-sw.js"));

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import signal
 import sys
@@ -12,6 +13,8 @@ import pytest
 from motionkit.cli.showing import open_in_browser
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import write_motion
+from rig.test_gltf_rig import character
+from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_walk
 
 from .test_mirror import RIG, run
@@ -222,3 +225,27 @@ def test_an_interruption_that_a_library_turns_into_an_error_is_one(
         for number, handler in before.items():
             signal.signal(number, handler)
     assert "shape" not in capsys.readouterr().err
+
+
+def test_a_users_character_is_in_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_motion("walk.bvh", make_walk(40))
+    hero = skinned(CHARACTERS["plain"]())
+    Path("hero.glb").write_bytes(hero)
+    assert run(monkeypatch, "view", "walk.bvh", "--rig", "hero.glb", "-o", "one.html", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["clips"][0]["frames"], told["clips"][0]["fps"]) == (40, 60.0)
+    assert run(monkeypatch, "retarget", "walk.bvh", "--rig", "hero.glb", "-o", "moving.glb") == 0
+    assert run(monkeypatch, "view", "moving.glb", "walk.bvh", "-o", "two.html", "--json") == 0
+    for page, file in (("one.html", Path("hero.glb")), ("two.html", Path("moving.glb"))):
+        assert base64.b64encode(file.read_bytes()).decode() in Path(page).read_text("utf-8")
+    assert run(monkeypatch, "view", "walk.bvh", "--rig", "hero.glb", "-o", "sheet.png") == 0
+    packed = skinned(
+        character(), lambda value: value.update(extensionsRequired=["KHR_draco_mesh_compression"])
+    )
+    Path("packed.glb").write_bytes(packed)
+    assert run(monkeypatch, "view", "walk.bvh", "--rig", "packed.glb", "-o", "no.html") == 1
+    assert "packed.glb: its meshes are compressed by Draco" in capsys.readouterr().err
+    assert not Path("no.html").exists()

@@ -12,13 +12,18 @@ import pytest
 from PIL import Image
 
 from motionkit.errors import MotionkitError
+from motionkit.export.clip import rig_clip
+from motionkit.export.formats import read_clip, write_motion
+from motionkit.finish.on_rig import on_rig
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
+from motionkit.rig.on_rig import read_rig
 from motionkit.rig.upright import in_metres
 from motionkit.view.figure_data import Shown
 from motionkit.view.notebook import show
 from motionkit.view.viewer import viewer_page, write_viewer
+from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_cartwheel, make_walk
 from view.conftest import PATIENCE, drawn
 
@@ -263,3 +268,29 @@ def test_a_notebook_cell_plays_in_a_frame(
 def test_what_a_notebook_cell_cannot_show(two_motions: list[Shown], options: dict, fault: str) -> None:
     with pytest.raises(MotionkitError, match=fault):
         show(two_motions[0].motion, **options)
+
+
+@pytest.mark.parametrize("key", ["plain", "backwards", "vrm1"])
+def test_a_users_character_is_where_its_joints_are(open_page: Callable, tmp_path: Path, key: str) -> None:
+    """On the page, from its own animation, its nodes are where Python's kinematics has the joints."""
+    hero, moving = tmp_path / "hero.glb", tmp_path / "moving.glb"
+    hero.write_bytes(skinned(CHARACTERS[key]()))
+    rig = read_rig(hero)
+    write_motion(moving, rig_clip(on_rig(make_walk(40), rig), rig, "walk"))
+    clip = read_clip(moving)
+    assert clip.character is not None
+    write_viewer(tmp_path / "view.html", [Shown("walk", clip.motion, character=clip.character)] * 2)
+    assert '"body":null' in (tmp_path / "view.html").read_text("utf-8")
+    page = open_page((tmp_path / "view.html").as_uri())
+    page.evaluate("motionkit.seek(0.5, true)")
+    found = page.evaluate(
+        """(nodes) => {
+          const { figure } = motionkit.tracks[1];
+          figure.updateWorldMatrix(true, true);
+          const at = ({ matrixWorld }) => figure.position.clone().setFromMatrixPosition(matrixWorld);
+          return nodes.map((node) => figure.worldToLocal(at(figure.hero.nodes[node])).toArray());
+        }""",
+        list(clip.character.nodes),
+    )
+    places = motion_kinematics(clip.motion)[1][30] / 100.0
+    assert np.abs(np.array(found) - places).max() < 1e-3

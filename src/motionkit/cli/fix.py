@@ -66,8 +66,8 @@ def command(clip: Path, wanted: Wanted, **repairs: Any) -> None:
         fixed = fix_motion(source.motion, Repairs(**repairs))
     with naming(clip):
         outputs.write(source.with_motion(fixed.motion))
-    before, after = Shown(f"{clip.stem} before", source.motion), Shown(f"{clip.stem} after", fixed.motion)
-    outputs.show(lambda: [before, after])
+    both = (("before", source.motion), ("after", fixed.motion))
+    outputs.show(lambda: [Shown(f"{clip.stem} {word}", m, character=source.character) for word, m in both])
     rows = [asdict(row) for row in fixed.table]
     took = taken(source.motion)
     facts = {

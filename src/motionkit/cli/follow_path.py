@@ -75,7 +75,8 @@ def command(path: str, types: str | None, making: Making, wanted: Wanted, **shap
     outputs.write(making.choice.clip_of(written, outputs.file.stem, bands))
     from motionkit.view.figure_data import Shown
 
-    outputs.show(lambda: [Shown(outputs.file.stem, written, bands, target.points)])
+    character = making.choice.character
+    outputs.show(lambda: [Shown(outputs.file.stem, written, bands, target.points, character)])
     facts = {"file": outputs.file, **_facts(request, result), "metrics": motion_metrics(measured)}
     facts["frames_per_second"] = result.frames / max(result.seconds, 1e-9)
     facts["seed"] = making.seed

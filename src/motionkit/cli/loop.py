@@ -64,7 +64,7 @@ def command(
     with naming(clip):
         made = root_motion.applied(loop.motion, cyclic=True)
         outputs.write(source.with_motion(made))
-    outputs.show(lambda: [Shown(outputs.file.stem, made)])
+    outputs.show(lambda: [Shown(outputs.file.stem, made, character=source.character)])
     if note := loop.note(seconds):
         remark(note)
     cut = {"start": loop.start, "end": loop.end, "seconds": loop.seconds, "difference_cm": loop.difference}

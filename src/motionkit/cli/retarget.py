@@ -164,7 +164,10 @@ def command(
     from motionkit.view.figure_data import Shown
 
     outputs.show(
-        lambda: [Shown(source.stem, bvh_to_motion(read_file(source))), Shown(outputs.file.stem, made)]
+        lambda: [
+            Shown(source.stem, bvh_to_motion(read_file(source))),
+            Shown(outputs.file.stem, made, character=choice.character),
+        ]
     )
     facts = {
         "file": outputs.file,

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from motionkit.export.clip import Clip
     from motionkit.finish.finish import Unfinished
     from motionkit.motion.motion import Motion
+    from motionkit.rig.character import Character
     from motionkit.rig.rig import Rig
 
 
@@ -134,6 +135,11 @@ class RigChoice:
     def words(self) -> str:
         """Text after a motion's name in messages: the rig it is on."""
         return "" if self.rig is None else f" on {self.rig.name}"
+
+    @property
+    def character(self) -> Character | None:
+        """The .glb or .vrm file that the rig is from, or None."""
+        return None if self.rig is None else self.rig.character
 
     def on_rig(self, motion: Motion, ik: bool, drawn: Unfinished | None = None) -> Motion:
         """A canonical motion on the rig; ik holds the feet of the rig.

@@ -151,7 +151,7 @@ def _write(
             one.motion, making.ik, bool(cycles), None if cycles else one.unfinished
         )
         outputs.write(making.choice.clip_of(put, file.stem, parts), number)
-        shown.append(Shown(file.stem, put, parts))
+        shown.append(Shown(file.stem, put, parts, character=making.choice.character))
         facts = {"file": file, "frames": len(put), "fps": one.motion.fps, "types": parts}
         facts |= {"metrics": motion_metrics(measured)}
         seam = cycles[number].seam if cycles else None

@@ -101,7 +101,7 @@ def command(
     made = replace(resample(replace(made, fps=made.fps * (speed or 1.0)), rate), fps=rate)
     with naming(clip):
         outputs.write(source.with_motion(made))
-    outputs.show(lambda: [Shown(outputs.file.stem, made)])
+    outputs.show(lambda: [Shown(outputs.file.stem, made, character=source.character)])
     facts = {"output": outputs.file, "start": first, "end": last, "frames": len(made), "fps": made.fps}
     kept = f"frames {first} to {last - 1} of {clip.name}, {made.seconds:.2f} s at {made.fps:g} fps"
     outputs.report(facts, [f"wrote {shown_name(outputs.file)}: {kept}"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,17 +16,20 @@ from motionkit.cli.common import (
     Stages,
     animation_option,
     clip_options,
+    gathered,
     json_option,
     option,
     print_json,
     say,
 )
 from motionkit.cli.outputs import default_output, naming
+from motionkit.cli.rig_options import RIG_FILE, RigChoice, map_option, open_rig
 from motionkit.cli.showing import open_in_browser
 from motionkit.names import counted, visible
 
 if TYPE_CHECKING:
-    from motionkit.motion.motion import Motion
+    from motionkit.rig.rig import Rig
+    from motionkit.view.figure_data import Shown
 
 ENDINGS = (".html", ".png", ".gif", ".mp4")
 
@@ -35,6 +39,10 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
         known = ", ".join(ENDINGS)
         raise click.BadParameter(f"expected a file name that ends in {known}, found {str(value)!r}")
     return value
+
+
+def _open_rig(rig_path: Path | None, map_path: Path | None) -> RigChoice:
+    return open_rig(rig_path, map_path, None)
 
 
 @click.command("view")
@@ -47,6 +55,14 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
     help="File to write; its ending chooses the format: .html (default, a web page that plays the motions), .png "
     "(a contact sheet), .gif or .mp4.",
 )
+@click.option(
+    "--rig",
+    "rig_path",
+    type=RIG_FILE,
+    help="Show the clips on the rig of this file (.bvh, .glb, .vrm) or @NAME. A page shows the character of a .glb or "
+    ".vrm with its meshes; pictures show its joints.",
+)
+@map_option
 @click.option(
     "--path",
     "path_file",
@@ -68,57 +84,73 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
 @animation_option
 @clip_options
 @json_option
+@gathered("choice", _open_rig)
 def command(
     clips: tuple[Path, ...],
     output: Path | None,
     path_file: Path | None,
     opens: bool,
     as_json: bool,
+    choice: RigChoice,
     **sizes: Any,
 ) -> None:
-    """Show BVH and skinned GLB files (CLIPS) of any rig, unit and frame rate.
+    """Show BVH, GLB and VRM files (CLIPS) of any rig, unit and frame rate.
 
     Without -o the command writes a web page, named after the first clip, to the current folder and opens it
-    in the browser. The page is one self-contained HTML file.
+    in the browser. The page is one self-contained HTML file, with the character of a GLB or VRM in it.
     """
     from motionkit.files import check_outputs
-    from motionkit.view.body import check_bones
-    from motionkit.view.figure_data import Shown
     from motionkit.view.write import write_shown
 
     target = output or default_output(clips[0].stem, ".html")
     _check_options(target)
-    check_outputs([target], [*clips, path_file])
+    check_outputs([target], [*clips, path_file, *choice.files])
     path = None
     if path_file is not None:
         from motionkit.control.path import read_path
 
         path = read_path(path_file).points
-    motions = [_read(clip) for clip in clips]
-    for clip, motion in zip(clips, motions, strict=True):
-        with naming(clip):
-            check_bones(motion)
-    shown = [Shown(visible(n), m, path=path) for n, m in zip(_names(clips), motions, strict=True)]
+    shown = [_shown(clip, visible(name), choice.rig) for clip, name in zip(clips, _names(clips), strict=True)]
+    shown = [replace(one, path=path) for one in shown]
     with Stages() as show:
         write_shown(target, shown, progress=lambda done, total: show("drawing", done, total), **sizes)
     if target.suffix.lower() == ".html" and opens and not as_json:
         open_in_browser(target.resolve().as_uri())
     if as_json:
         facts = [
-            {"file": clip, "frames": len(motion), "seconds": motion.seconds, "fps": motion.fps}
-            for clip, motion in zip(clips, motions, strict=True)
+            {
+                "file": clip,
+                "frames": len(one.motion),
+                "seconds": one.motion.seconds,
+                "fps": one.motion.fps,
+            }
+            for clip, one in zip(clips, shown, strict=True)
         ]
         print_json({"output": target, "clips": facts})
     else:
         say(f"{target}: {counted(len(clips), 'clip')}")
 
 
-def _read(clip: Path) -> Motion:
-    """Read the motion of a .glb or .vrm file, or of a BVH file with any ending."""
-    from motionkit.motion.bvh import bvh_to_motion
-    from motionkit.rig.read_file import read_file
+def _shown(path: Path, name: str, rig: Rig | None) -> Shown:
+    """Read the motion of a .glb or .vrm, or of a BVH file with any ending, and put it on the rig if there is one."""
+    from motionkit.export.clip import Clip
+    from motionkit.export.formats import read_clip
+    from motionkit.finish.on_rig import on_rig
+    from motionkit.motion.bvh import bvh_to_motion, read_bvh
+    from motionkit.rig.on_rig import read_on_any_rig
+    from motionkit.rig.read_file import is_gltf
+    from motionkit.view.body import check_bones
+    from motionkit.view.figure_data import Shown
 
-    return bvh_to_motion(read_file(clip))
+    if rig is not None:
+        clip = Clip(on_rig(read_on_any_rig(path, rig)[0], rig), character=rig.character)
+    else:
+        clip = read_clip(path) if is_gltf(path) else Clip(bvh_to_motion(read_bvh(path)))
+    shown = Shown(name, clip.motion, character=clip.character)
+    if shown.hero is None:
+        with naming(path):
+            check_bones(clip.motion)
+    return shown
 
 
 def _names(clips: Sequence[Path]) -> list[str]:

@@ -92,9 +92,10 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
         **dict(zip(("rotations", "root", "positions"), poser.posed, strict=True)),
     }  # fmt: skip
     own |= {f"feet_{name}": array for name, array in body.feet.arrays.items()} | {"rise": body.rise}
+    own["offsets"] = body.offsets
     writer = _Writer()
     writer.share(*program.kept, program.position, drawn.space.mean, drawn.space.std, drawn.space.blended)
-    writer.share(poser.references, body.offsets, body.scale)
+    writer.share(poser.references, body.scale)
     addresses = {name: writer.keep(array) for name, array in own.items()}
     addresses["position"] = writer.address_of(program.position.ctypes.data)[0]
     writer.struct(program.maps, shared=True)

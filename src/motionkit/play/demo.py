@@ -14,6 +14,7 @@ from motionkit.files import check_foreign, write_together
 from motionkit.inference.character import model_first_type
 from motionkit.models.model import MotionModel
 from motionkit.play.figures import standing_rig
+from motionkit.play.on_rig import rig_tables
 from motionkit.view.viewer import fill_page, page_asset
 
 CHECKED = 1.0  # s of motion that a model must make without a fault before its page is written
@@ -42,7 +43,8 @@ def write_demo(folder: str | Path, model: MotionModel, force: bool = False) -> d
     if not force:
         page_file, worker = folder / "index.html", folder / "sw.js"
         check_foreign([page_file, worker] if page_file.exists() else [folder / name for name in NAMES])
-    page = fill_page("demo.html", {"bodies": {"default": standing_rig(model.character("default"))}})
+    bodies = {"default": standing_rig(model.character("default"))}
+    page = fill_page("demo.html", {"bodies": bodies, "rigs": rig_tables()})
     made = {
         "index.html": page.encode(),  # first, since it marks the others as ours
         "motionkit.wasm": (files("motionkit") / "assets" / "web" / "motionkit.wasm").read_bytes(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,18 +17,21 @@ from motionkit.view.figure_data import CM, rig_data
 WAIT_SECONDS = 3.0  # wait for a mesh; connections must be answered within ten seconds
 
 
-def standing_rig(skeleton: Skeleton) -> dict[str, Any]:
-    """The rig and mesh of a body (in cm) in its rest pose, for the page."""
+def standing_rig(skeleton: Skeleton, hero: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The rig and mesh of a body (in cm) in its rest pose, for the page; hero is a user's character in its place."""
     turns = quat_identity((1, len(skeleton)))
     motion = Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0)
-    return rig_data(motion.scaled(CM))
+    return rig_data(motion.scaled(CM), with_body=hero is None) | {"hero": hero}
 
 
 class Figures:
     """Body meshes as JSON. Each is made once, in its own thread, because it takes about half a second."""
 
-    def __init__(self, bodies: Sequence[Skeleton]) -> None:
-        self._bodies = bodies
+    def __init__(
+        self, bodies: Sequence[Skeleton], heroes: Mapping[int, dict[str, Any]] | None = None
+    ) -> None:
+        """heroes are users' characters in place of the meshes of some bodies, by their numbers."""
+        self._bodies, self._heroes = bodies, heroes or {}
         self._made: dict[int, asyncio.Task[bytes]] = {}
         self._one = asyncio.Semaphore(1)
 
@@ -50,8 +53,8 @@ class Figures:
 
     async def _make(self, number: int) -> bytes:
         async with self._one:
-            return await asyncio.to_thread(_figure_text, self._bodies[number])
+            return await asyncio.to_thread(_figure_text, self._bodies[number], self._heroes.get(number))
 
 
-def _figure_text(skeleton: Skeleton) -> bytes:
-    return json.dumps(standing_rig(skeleton), separators=(",", ":")).encode()
+def _figure_text(skeleton: Skeleton, hero: dict[str, Any] | None) -> bytes:
+    return json.dumps(standing_rig(skeleton, hero), separators=(",", ":")).encode()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import replace
 from typing import Any
 
@@ -13,8 +14,11 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS, Skeleton, canonical_skeleton
 from motionkit.play.frames import Shown, rounded
-from motionkit.rig.rig import Rig, stance_part
+from motionkit.rig import names, rest_pose, twist
+from motionkit.rig.gltf_nodes import VRM_BONES
+from motionkit.rig.rig import PLAUSIBLE_STANCE, Rig, stance_part
 from motionkit.rig.to_rig import THIGHS, from_body, rig_body, standing_height
+from motionkit.view.character_data import MAX_BYTES, page_bytes, rig_joints
 
 # cm, median ankle height in the training recordings while heel and toe are in contact.
 STANDING_ANKLE = 7.6
@@ -48,6 +52,13 @@ def _ankles_higher(body: Skeleton) -> Array:
     return np.array([0.0, max(depth, 0.0), 0.0], np.float32)
 
 
+def rig_tables() -> dict[str, Any]:
+    """All that a page needs to do the same with a rig by itself, as JSON values (web/src/demo/rig.js)."""
+    heights = {"ToeBase": STANDING_HEIGHTS[1], "Foot": STANDING_ANKLE}
+    known = {"bones": VRM_BONES, "standing": heights, "plausible": PLAUSIBLE_STANCE, "mostBytes": MAX_BYTES}
+    return {**names.tables(), **rest_pose.tables(), **twist.tables(), **known}
+
+
 class LiveRig:
     """Puts characters that have a rig's body on the rig, frame by frame."""
 
@@ -69,6 +80,13 @@ class LiveRig:
             "parents": list(skeleton.parents),
             "offsets": rounded(skeleton.offsets, 6),
         }
+
+    def hero(self) -> dict[str, Any]:
+        """The rig's character for the page, posed as pose does; raises MotionkitError if it cannot be shown."""
+        character = self.rig.character
+        assert character is not None
+        data = base64.b64encode(page_bytes(character.tree.file)).decode()
+        return rig_joints(self.rig, self._raised, self._lift) | {"data": data}
 
     def pose(self, one: Shown) -> dict[str, Any]:
         """A character on the rig: local rotations (J, 4) and positions (J, 3), in the rig's unit and axes."""

@@ -25,8 +25,8 @@ _CONTENT = {
 def policy(host: str) -> str:
     """The content security policy of the page, which is self-contained and connects only to this server."""
     return (
-        "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-        f"img-src data: blob:; connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; "
+        "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'unsafe-inline'; "
+        f"img-src data: blob:; connect-src 'self' blob: data: ws://{host}; base-uri 'none'; form-action 'none'; "
         "frame-ancestors 'none'"
     )
 

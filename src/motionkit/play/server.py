@@ -33,6 +33,7 @@ from motionkit.play.client import Client, TooManyMessages
 from motionkit.play.figures import Figures
 from motionkit.play.frames import WorldFrame
 from motionkit.play.live import Live, error_event
+from motionkit.play.on_rig import LiveRig
 from motionkit.play.page import (
     figure_number,
     find_recording,
@@ -100,7 +101,11 @@ class PlayServer:
         self.live = Live(session, rig=(options.rig, options.clip), recording_format=options.recording_format)
         self._page = page_asset("play.html").encode() if options.page else None
         names = list(session.model.characters)
-        self._figures = Figures([session.model.character(name) for name in names])
+        heroes = {}
+        if options.page and options.rig is not None and options.rig.character is not None:
+            if options.rig.character.has_mesh:
+                heroes[names.index(options.rig.name)] = LiveRig(options.rig).hero()
+        self._figures = Figures([session.model.character(name) for name in names], heroes)
         self._first_figure = names.index(session.body)
         self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # TCP connections
         most = WAITING_ROOM * session.limits.clients

@@ -48,6 +48,11 @@ class Character:
     skeleton: Skeleton
     humanoid: dict[str, int]
 
+    @property
+    def has_mesh(self) -> bool:
+        """Whether there is a mesh to see."""
+        return bool(self.tree.file.items("meshes"))
+
     @cached_property
     def outer(self) -> Doubles:
         """(J, 4, 4) rest transforms of the parents of the joints' nodes."""
@@ -64,6 +69,11 @@ class Character:
         """Rest rotations (J, 4) and translations (J, 3) of the nodes."""
         local = np.stack([self.tree.local[node] for node in self.nodes])
         return matrix_to_quat(nearest_rotations(local[:, :3, :3])), local[:, :3, 3]
+
+    @cached_property
+    def turns(self) -> Doubles:
+        """(J, 4) rest rotations of the joints' nodes in the world; a node turns as its joint times this."""
+        return quat_multiply(self.axes, self.rest[0])
 
     def bvh(self, movers: set[int]) -> BvhFile:
         """The joints in the rest pose, in metres, as a file of one frame; some joints have position channels."""
@@ -108,17 +118,17 @@ class Character:
             return False
         near = _SAME * float(np.abs(own.offsets[1:]).max(initial=1e-9))
         return bool(
-            np.abs(other.offsets[1:] * self._metres(motion) - own.offsets[1:]).max(initial=0.0) <= near
+            np.abs(other.offsets[1:] * self.metres(motion) - own.offsets[1:]).max(initial=0.0) <= near
         )
 
-    def _metres(self, motion: Motion) -> float:
-        """Metres per unit of a motion on this skeleton."""
+    def metres(self, motion: Motion) -> float:
+        """Metres, as the file has them, per unit of a motion on this skeleton."""
         ours, theirs = (float(np.abs(s.offsets[1:]).sum()) for s in (self.skeleton, motion.skeleton))
         return ours / theirs if theirs else 1.0
 
     def tracks(self, motion: Motion) -> list[tuple[int, str, Array]]:
         """Node, path and values (T, 3) or x, y, z, w (T, 4) of all that leaves the rest pose, for a motion it holds."""
-        unit = self._metres(motion)
+        unit = self.metres(motion)
         motion = motion if abs(unit - 1.0) < 1e-6 else motion.scaled(unit)
         out: list[tuple[int, str, Array]] = []
         turns, places = self.rest

@@ -14,11 +14,18 @@ from motionkit.motion.rotations import quat_to_matrix
 from motionkit.names import joint_names, visible
 from motionkit.rig.gltf import GltfFile
 
-# VRM names of limb bones and their canonical joints, without the side. Spine and collars are found between the limbs.
+# VRM names of bones and their canonical joints; limbs without the side. Spine and collars are found between the limbs.
 _VRM_LIMBS = {
     "UpperLeg": "UpLeg", "LowerLeg": "Leg", "Foot": "Foot", "Toes": "ToeBase",
     "UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand",
 }  # fmt: skip
+
+
+VRM_BONES = {"hips": "Hips", "head": "Head"} | {
+    f"{side.lower()}{bone}": f"{side}{ours}"
+    for side in ("Left", "Right")
+    for bone, ours in _VRM_LIMBS.items()
+}
 
 
 class GltfNodes:
@@ -104,10 +111,7 @@ class GltfNodes:
                 table = {
                     str(entry.get("bone")): entry.get("node") for entry in bones if isinstance(entry, dict)
                 }
-        wanted = {"hips": "Hips", "head": "Head"}
-        for side in ("Left", "Right"):
-            wanted |= {f"{side.lower()}{part}": f"{side}{ours}" for part, ours in _VRM_LIMBS.items()}
-        found = {ours: table[bone] for bone, ours in wanted.items() if table.get(bone) is not None}
+        found = {ours: table[bone] for bone, ours in VRM_BONES.items() if table.get(bone) is not None}
         nodes = self.indices(list(found.values()), "bones of the avatar")
         twice = [self.name(node) for node, count in Counter(nodes).items() if count > 1]
         if twice:

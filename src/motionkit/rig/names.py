@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -138,6 +139,14 @@ def name_part(name: str) -> tuple[str, str]:
         side = before or after or next((t for t in tokens[:start] if t in SIDES), "")
         return SIDES.get(side, ""), WORDS[word_after or word_before or alone]
     return "", ""
+
+
+def tables() -> dict[str, Any]:
+    """What names mean, as JSON values: a page that maps rigs itself (web/src/demo/rig.js) has no table of its own."""
+    return {
+        "tokens": _TOKENS.pattern, "sided": _SIDED_WORD.pattern, "sides": SIDES, "helpers": _HELPERS,
+        "parts": PARTS, "spine": SPINE_SHARES, "needed": _NEEDED, "hangs": _HANGS,
+    }  # fmt: skip
 
 
 def map_rig(skeleton: Skeleton, poses: Array | None = None) -> RigMap:

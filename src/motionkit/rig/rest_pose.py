@@ -11,6 +11,7 @@ import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -75,6 +76,17 @@ _HINGES: dict[str, tuple[float, float, float]] = {
 _BENT = math.radians(25.0)  # bend above which a joint shows its hinge axis
 _UPRIGHT = math.radians(25.0)  # lean up to which a body is upright
 _REFERENCE_FRAMES = 256  # recorded poses are thinned to four to eight times as many
+
+
+def tables() -> dict[str, Any]:
+    """The canonical rest pose and what is compared with it, as JSON values for a page (see rig/names.py)."""
+    ends = {joint: list(end) for joint, end in _CANONICAL.end_sites.items()}
+    return {
+        "names": JOINT_NAMES, "parents": PARENTS, "offsets": _CANONICAL.offsets.tolist(), "ends": ends,
+        "ahead": _AHEAD, "limbs": _LIMBS, "tops": _TOPS, "tolerance": _TOLERANCE, "elsewhere": _TOLERANCE_ELSEWHERE,
+        "noPosture": _NO_POSTURE, "topWords": _TOP_WORDS.pattern, "faceWords": _FACE_WORDS.pattern,
+        "steep": _STEEP, "aside": _ASIDE, "alongNeck": _ALONG_NECK,
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from motionkit.rig.units import check_leg
 
 # Plausible heights, in cm of the canonical body, of standing toes, or of ankles of a rig without toes. At other heights
 # the floor of the file is not at zero.
-_PLAUSIBLE_STANCE = {"ToeBase": (0.0, 6.0), "Foot": (4.0, 12.0)}
+PLAUSIBLE_STANCE = {"ToeBase": (0.0, 6.0), "Foot": (4.0, 12.0)}
 STANCE_QUANTILE = 0.25  # of heights: low, but robust to feet that sink now and then
 _UPRIGHT_SHARE = 0.5  # of the leg; the ankles of a standing body are further than this below the hips
 _SAME_REST = 0.01  # share of the leg by which offsets of the same rig may differ
@@ -180,7 +180,7 @@ def _stance(pose: RigPose, scale: float) -> float | None:
         return None
     lower = pose.positions[:, [place[f"{side}{part}"] for side in SIDES], 1].min(axis=1)
     height = float(np.quantile(lower, STANCE_QUANTILE)) * scale
-    low, high = _PLAUSIBLE_STANCE[part]
+    low, high = PLAUSIBLE_STANCE[part]
     return height if low <= height <= high else None
 
 

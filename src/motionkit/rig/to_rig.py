@@ -139,11 +139,8 @@ def from_body(body: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
         ),
     )
     local, places = _kept(rig, frames, clip)
-    carriers = {joint: JOINT_NAMES.index(name) for name, joint in rig.joints.places.items()}
-    carriers.setdefault(top_joint(skeleton, rig.joints), 0)  # a joint above hips and spine turns as the hips
-    carriers = {joint: carrier for joint, carrier in carriers.items() if _turns(rig, joint)}
     turn = _turn_from_rest if clip is None else _turn_from_clip
-    turned = turn(rig, carriers, wanted, local)
+    turned = turn(rig, turning_joints(rig), wanted, local)
     hips = quat_rotate(down, body.root_positions.astype(np.float64)) / rig.scale
     _move(rig, places, turned, hips)
     if clip is None:
@@ -157,6 +154,13 @@ def from_body(body: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
         body.fps,
         places.astype(np.float32) if translates else None,
     )
+
+
+def turning_joints(rig: Rig) -> dict[int, int]:
+    """The joints of a rig that turn, and the canonical joint whose rotation each takes."""
+    out = {joint: JOINT_NAMES.index(name) for name, joint in rig.joints.places.items()}
+    out.setdefault(top_joint(rig.skeleton, rig.joints), 0)  # a joint above hips and spine turns as the hips
+    return {joint: carrier for joint, carrier in out.items() if _turns(rig, joint)}
 
 
 def _turn_from_rest(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: Doubles) -> Doubles:

@@ -7,6 +7,10 @@ ankle. Twist joints along the bone take its twist from the joint above them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
 from motionkit.arrays import Doubles
@@ -20,8 +24,40 @@ _WORDS = ("twist", "roll")
 _STRAIGHT = 0.005  # share of the bone by which a joint along it may lie off its axis, and still turn about it
 
 
+def tables() -> dict[str, Any]:
+    """What twist joints are, as JSON values for a page (see rig/names.py)."""
+    return {"twistBones": _BONES, "twistWords": _WORDS, "twistStraight": _STRAIGHT}
+
+
+@dataclass(frozen=True, eq=False)
+class Twist:
+    """The twist of a limb bone, and the joints over which it is spread.
+
+    Attributes:
+        source: the joint that twists about axis.
+        axis: (3,) direction of the bone in the rest pose.
+        shares: joints and their share of the twist.
+        taken: whether the source gives its twist away.
+    """
+
+    source: int
+    axis: Doubles
+    shares: dict[int, float]
+    taken: bool
+
+
 def spread_twist(rig: Rig, local: Doubles) -> None:
     """Turn the twist joints of a rig by their share; local rotations (T, J, 4) are changed in place."""
+    for one in twists(rig):
+        angle = twist(local[:, one.source], one.axis)
+        if one.taken:
+            local[:, one.source] = quat_normalize(quat_multiply(local[:, one.source], turn(-angle, one.axis)))
+        for joint, share in one.shares.items():
+            local[:, joint] = turn(share * angle, one.axis)
+
+
+def twists(rig: Rig) -> Iterator[Twist]:
+    """The limb bones of a rig that have twist joints."""
     rest, places = rig.skeleton.rest_positions().astype(np.float64), rig.joints.places
     for side in SIDES:
         for part, below in _BONES.items():
@@ -37,15 +73,11 @@ def spread_twist(rig: Rig, local: Doubles) -> None:
             beside = _beside(rig, [top, *chain])
             if beside:
                 upper = part in ("Arm", "UpLeg")
-                angle = twist(local[:, top if upper else end], axis)
-                for joint in beside:
-                    share = float(np.clip((rest[joint] - rest[top]) @ axis / size, 0.0, 1.0))
-                    local[:, joint] = turn((share - 1.0 if upper else share) * angle, axis)
+                far = np.clip((rest[beside] - rest[top]) @ axis / size, 0.0, 1.0) - float(upper)
+                shares = dict(zip(beside, far.tolist(), strict=True))
+                yield Twist(top if upper else end, axis, shares, taken=False)
             elif chain and _straight(rest[chain] - rest[top], axis, size):
-                angle = twist(local[:, top], axis)
-                local[:, top] = quat_normalize(quat_multiply(local[:, top], turn(-angle, axis)))
-                for joint in chain:
-                    local[:, joint] = turn(angle / len(chain), axis)
+                yield Twist(top, axis, dict.fromkeys(chain, 1.0 / len(chain)), taken=True)
 
 
 def twist(rotations: Doubles, axis: Doubles) -> Doubles:

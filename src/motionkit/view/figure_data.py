@@ -19,9 +19,11 @@ from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import matrix_to_quat
+from motionkit.rig.character import Character
 from motionkit.rig.sides import joint_sides
 from motionkit.rig.upright import CM, in_metres
 from motionkit.view.body import make_body
+from motionkit.view.character_data import own_joints
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
 from motionkit.view.surface import SHADES
 
@@ -38,12 +40,20 @@ class Shown:
         motion: in any unit, with Y or Z up.
         types: motion types and their seconds in sequence; empty if unknown.
         path: (N, 2) x, z of the requested path in cm, or None.
+        character: the .glb or .vrm file that the motion is for, or None.
     """
 
     name: str
     motion: Motion
     types: Sequence[tuple[str, float]] = ()
     path: Array | None = None
+    character: Character | None = None
+
+    @property
+    def hero(self) -> Character | None:
+        """The character, to be shown instead of a figure, if it has meshes and the motion is on its joints."""
+        one = self.character
+        return one if one is not None and one.has_mesh and one.holds(self.motion) else None
 
 
 def shown_motions(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[Shown]:
@@ -77,6 +87,10 @@ def figure_data(shown: Shown) -> dict[str, Any]:
     motion = metres.motion
     figure = motion_figure(motion)
     path = None if shown.path is None else pack(shown.path.astype(np.float64) * CM, "f4")
+    character, hero = shown.hero, None
+    if character is not None:
+        unit = metres.scale / character.metres(shown.motion)
+        hero = own_joints(character, [0, *motion.moving_joints()[1:]], unit, metres.up)
     return {
         "name": shown.name,
         "fps": motion.fps,
@@ -84,7 +98,8 @@ def figure_data(shown: Shown) -> dict[str, Any]:
         "scale": metres.scale,
         "unit": metres.note,
         "floor": 0.0 if figure.floor_is_zero else figure.floor,
-        **rig_data(motion, figure),
+        **rig_data(motion, figure, with_body=hero is None),
+        "hero": hero,
         "rotations": pack((motion.local_rotations.astype(np.float64) * QUATERNION_STEPS).round(), "i2"),
         "roots": pack(motion.root_positions, "f4"),
         "moving": _moving(motion),
@@ -102,18 +117,17 @@ def figure_data(shown: Shown) -> dict[str, Any]:
     }
 
 
-def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
+def rig_data(motion: Motion, figure: Figure | None = None, with_body: bool = True) -> dict[str, Any]:
     """The page's data for a rig and its body.
 
     Args:
         motion: in metres with Y up.
         figure: its motion_figure, computed if None.
+        with_body: make the body; a user's character takes its place otherwise.
     """
     figure = figure or motion_figure(motion)
     skeleton = motion.skeleton
     bones = [joint for _, joint in figure.bones if joint < len(skeleton)]
-    surface, pose = make_body(motion, figure)
-    turns = matrix_to_quat(pose.rotations)
     return {
         "joints": list(skeleton.names),
         "parents": list(skeleton.parents),
@@ -124,16 +138,22 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
         "hips": figure.hips,
         "head": figure.head,
         "stature": figure.stature,
-        "body": {
-            "rotations": pack(turns, "f4"),
-            "places": pack(pose.places, "f4"),
-            "points": pack((surface.points * POINT_STEPS).round(), "i2"),
-            "triangles": pack(surface.triangles, "u2"),
-            "joints": pack(surface.joints, "u2"),
-            "weights": pack((surface.weights * 255).round(), "u1"),
-            "tints": pack((surface.tints * 255).round(), "u1"),
-            "shades": [[*color, share] for color, share in SHADES.values()],
-        },
+        "body": _body_data(motion, figure) if with_body else None,
+    }
+
+
+def _body_data(motion: Motion, figure: Figure) -> dict[str, Any]:
+    """The body that is grown around a skeleton."""
+    surface, pose = make_body(motion, figure)
+    return {
+        "rotations": pack(matrix_to_quat(pose.rotations), "f4"),
+        "places": pack(pose.places, "f4"),
+        "points": pack((surface.points * POINT_STEPS).round(), "i2"),
+        "triangles": pack(surface.triangles, "u2"),
+        "joints": pack(surface.joints, "u2"),
+        "weights": pack((surface.weights * 255).round(), "u1"),
+        "tints": pack((surface.tints * 255).round(), "u1"),
+        "shades": [[*color, share] for color, share in SHADES.values()],
     }
 
 

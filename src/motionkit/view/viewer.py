@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Sequence
 from importlib.resources import files
@@ -10,6 +11,7 @@ from typing import Any
 
 from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write
+from motionkit.view.character_data import page_bytes
 from motionkit.view.figure_data import Shown, figure_data
 
 MAX_MOTIONS = 32  # per page
@@ -26,10 +28,17 @@ def viewer_page(shown: Sequence[Shown], title: str = "", bare: bool = False) -> 
     if not 0 < len(shown) <= MAX_MOTIONS:
         raise MotionkitError(f"a viewer file shows 1 to {MAX_MOTIONS} motions, found {len(shown)}")
     named = title or " · ".join(one.name for one in shown)
+    heroes = [one.hero for one in shown]
+    characters = list(dict.fromkeys(hero.tree.file for hero in heroes if hero))
+    motions = [figure_data(one) for one in shown]
+    for hero, motion in zip(heroes, motions, strict=True):
+        if hero is not None:
+            motion["hero"]["file"] = characters.index(hero.tree.file)
     data = {
         "title": f"{named} · motionkit",
         "bare": bare,
-        "motions": [figure_data(one) for one in shown],
+        "motions": motions,
+        "characters": [base64.b64encode(page_bytes(file)).decode() for file in characters],
     }
     return fill_page("view.html", data)
 

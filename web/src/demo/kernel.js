@@ -53,6 +53,7 @@ export class Character {
     this.rotations = floats("rotations", 92);
     this.root = floats("root", 3);
     this.positions = floats("positions", 69);
+    this.offsets = floats("offsets", 69);
     this.words = new DataView(kernel.run.memory.buffer, this.at);
     this.noiseSize = null;
   }

@@ -2,6 +2,7 @@
 
 import { bvhText } from "./bvh.js";
 import { glbBytes } from "./glb.js";
+import { heroBytes } from "./hero.js";
 import { World } from "./world.js";
 
 const CLIENT = 1;
@@ -50,9 +51,11 @@ export class LocalLink {
   ask(what, fields = {}, counted = false) {
     if (!this.hello || what === "ping") return null;
     if (what === "record") this.#record(fields);
+    else if (what === "body") this.#wear(fields.character, fields.body);
     else if (KEPT.includes(what)) {
       this.replayed = []; // a request by the user ends the replay
       this.#obey({ do: what, ...rounded(fields) });
+      if (what === "add" && fields.body) this.#wear(this.world.last, fields.body);
     }
     if (!counted) return this.seq;
     this.seq += 1;
@@ -105,13 +108,18 @@ export class LocalLink {
     if (["add", "remove", "noise"].includes(asked.do)) this.#changed();
   }
 
+  #wear(character, name) {
+    this.world.wear(character, name, this.bodies[name].kernel ?? null);
+    this.#changed();
+  }
+
   #changed() {
     this.listeners.event({ event: "characters", characters: this.#told() });
   }
 
   #told() {
-    return [...this.world.characters.values()].map(({ number, recorded, temperature }) => ({
-      id: number, body: "default", owner: CLIENT, recording: Boolean(recorded), noise: "correlated", temperature,
+    return [...this.world.characters.values()].map(({ number, recorded, temperature, worn }) => ({
+      id: number, body: worn, owner: CLIENT, recording: Boolean(recorded), noise: "correlated", temperature,
     }));
   }
 
@@ -123,9 +131,18 @@ export class LocalLink {
     this.#changed();
     if (on || !recorded?.length) return;
     const { fps, bvh } = this.model;
+    const seconds = recorded.length / fps;
+    if (one.offsets) {
+      const format = one.worn.split(".").at(-1).toLowerCase();
+      heroBytes(this.bodies[one.worn], recorded, fps).then(
+        (content) => this.listeners.event({ event: "recorded", character, url: addressOf(content), format, seconds }),
+        ({ message }) => this.listeners.event({ event: "error", message }),
+      );
+      return;
+    }
     const url = addressOf(bvhText(bvh, recorded, fps));
     const others = { glb: async (figure) => addressOf(await glbBytes(figure, recorded, fps)) };
-    this.listeners.event({ event: "recorded", character, url, format: "bvh", others, seconds: recorded.length / fps });
+    this.listeners.event({ event: "recorded", character, url, format: "bvh", others, seconds });
   }
 
   // Sends a pace event when the machine falls behind or catches up.

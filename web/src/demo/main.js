@@ -1,6 +1,7 @@
 // The page of `motionkit demo`: the live page with the model inside, without a server.
 
 import { button, element } from "../lib/dom.js";
+import { heroBody } from "./hero.js";
 import { Play, open } from "../play/play.js";
 import { Kernel } from "./kernel.js";
 import { LocalLink } from "./link.js";
@@ -35,8 +36,33 @@ function tools(play) {
       await navigator.clipboard.writeText(address).then(() => play.say(link, " copied: it does all of this again."), () => play.say(link, ": it does all of this again. It is in the address bar too."));
     }
   });
-  return [share];
+  const choice = element("input", { type: "file", accept: ".glb,.vrm", hidden: true, ariaLabel: "File of your character", onchange: () => choice.files[0] && wear(play, choice.files[0]) });
+  return [button("Your character", "A .glb or .vrm file of yours moves instead; nothing is sent anywhere", () => choice.click()), choice, share];
 }
+
+/** Puts a user's file on the steered character, or says what is wrong with it. */
+async function wear(play, file) {
+  const { link } = play;
+  try {
+    play.say(`Reading ${file.name} …`);
+    const body = await heroBody(file, link.bodies.default, rigs);
+    const [, stem, ending] = /^(.*?)(\.vrm|\.glb)?$/i.exec(file.name);
+    let name = `${stem}${ending ?? ".glb"}`;
+    for (let n = 2; link.bodies[name]; n++) name = `${stem} ${n}${ending ?? ".glb"}`;
+    link.bodies[name] = body;
+    play.offer(name);
+    play.say(`${file.name} stays on this machine. Record gives it back with the motion in it.`);
+  } catch (error) {
+    play.say(`${file.name}: ${error.message}.`);
+  }
+}
+
+addEventListener("dragover", (event) => event.preventDefault());
+addEventListener("drop", (event) => {
+  event.preventDefault();
+  const [file] = event.dataTransfer.files;
+  if (file && window.motionkit?.hello) wear(window.motionkit, file);
+});
 
 async function begin(play) {
   const [module, model] = await loaded;
@@ -50,7 +76,7 @@ async function begin(play) {
   if ("serviceWorker" in navigator) await navigator.serviceWorker.register("sw.js");
 }
 
-const { bodies } = JSON.parse(document.getElementById("data").textContent);
+const { bodies, rigs } = JSON.parse(document.getElementById("data").textContent);
 if (open(() => new Play((listeners) => new LocalLink(listeners, bodies), tools))) {
   begin(window.motionkit).catch((error) => {
     notice.hidden = false;

@@ -38,6 +38,14 @@ export class World {
     this.done.push([this.frame, asked]);
   }
 
+  /** Puts another body on a character, where it is: its name and offsets (69 numbers in cm, null for the model's). */
+  wear(number, worn, offsets) {
+    const one = this.characters.get(number);
+    if (one.worn === worn) return;
+    Object.assign(one, { worn, offsets });
+    this.#start(one, one.body.ground);
+  }
+
   /** Computes one frame; returns the characters by number, as the pages draw them. */
   step() {
     this.frame += 1;
@@ -80,16 +88,17 @@ export class World {
     const taken = new Set([...characters.values()].map(({ slot }) => slot));
     const slot = Array.from({ length: MOST }, (_, n) => n).find((n) => !taken.has(n));
     this.last += 1;
-    const one = { number: this.last, slot, seq: 0, recorded: null, temperature: TEMPERATURE };
+    const one = { number: this.last, slot, seq: 0, recorded: null, temperature: TEMPERATURE, worn: "default", offsets: null };
     one.body = new Character(kernel, slot, normals(this.seed + this.last));
     this.#start(one);
     characters.set(this.last, one);
   }
 
   // Start positions form rows of seven; each row alternates to the left and right of its first.
-  #start(one) {
+  #start(one, at = null) {
     const [row, place] = [Math.floor(one.slot / 7), one.slot % 7];
-    one.body.start([BETWEEN * Math.ceil(place / 2) * (-1) ** place, -BETWEEN * row, 0]);
+    one.body.start(at ?? [BETWEEN * Math.ceil(place / 2) * (-1) ** place, -BETWEEN * row, 0]);
+    if (one.offsets) one.body.offsets.set(one.offsets);
     one.body.temperature = one.temperature;
     one.driver = new Driver(this.model, this.seed + one.number);
   }

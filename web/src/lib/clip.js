@@ -10,6 +10,7 @@ export class Clip {
     const clip = new Clip();
     Object.assign(clip, { name: data.name, fps: data.fps, frames: data.frames, unit: data.unit, types: data.types });
     clip.rig = await Rig.from(data);
+    clip.hero = await clip.rig.newHero();
     clip.turns = await unpack(data.rotations);
     clip.roots = await unpack(data.roots);
     clip.floor = data.floor;

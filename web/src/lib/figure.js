@@ -18,15 +18,20 @@ const spare = new Color();
 const UP = new Vector3(0, 1, 0);
 
 export class Figure extends Group {
-  /** @param {import("./rig.js").Rig} rig @param {Color} color @param {boolean} plain simpler drawing without a graphics card */
-  constructor(rig, color, plain = false) {
+  /**
+   * @param {import("./rig.js").Rig} rig
+   * @param {Color} color
+   * @param {boolean} plain simpler drawing without a graphics card
+   * @param {import("./hero.js").Hero} hero a user's character in place of the rig's body, or null
+   */
+  constructor(rig, color, plain = false, hero = null) {
     super();
-    this.rig = rig;
+    Object.assign(this, { rig, hero });
     const Material = plain ? MeshLambertMaterial : MeshStandardMaterial;
     this.material = new Material({ vertexColors: true });
     if (!plain) this.material.roughness = 0.58;
-    this.mesh = this.#body();
-    this.add(this.mesh);
+    if (!hero) this.mesh = this.#body();
+    this.add(hero ?? this.mesh);
     this.bones = this.#skeleton();
     this.add(this.bones);
     this.color = color;
@@ -34,6 +39,7 @@ export class Figure extends Group {
 
   set color(color) {
     this.base = new Color(color);
+    if (this.hero) return; // it has its own
     const { tints, shades } = this.rig.body;
     const mixed = shades.map(([r, g, b, share]) => this.base.clone().lerp(spare.setRGB(r / 255, g / 255, b / 255, SRGBColorSpace), share));
     const colors = this.mesh.geometry.getAttribute("color");
@@ -56,6 +62,7 @@ export class Figure extends Group {
 
   set skeletonShown(shown) {
     this.bones.visible = shown;
+    if (this.hero) this.hero.opacity = shown ? BEHIND : 1;
     this.material.transparent = shown;
     this.material.opacity = shown ? BEHIND : 1;
     this.material.depthWrite = !shown;
@@ -74,7 +81,8 @@ export class Figure extends Group {
   /** @param {import("./rig.js").Pose} pose */
   setPose(pose) {
     const { rotations, places } = pose;
-    this.skeleton.bones.forEach((bone, j) => {
+    if (this.hero) this.hero.setPose(pose);
+    this.skeleton?.bones.forEach((bone, j) => {
       turn.set(rotations[j * 4 + 1], rotations[j * 4 + 2], rotations[j * 4 + 3], rotations[j * 4]);
       place.fromArray(places, j * 3);
       bone.matrixWorld.compose(place, turn, size.set(1, 1, 1));
@@ -157,9 +165,10 @@ export class Figure extends Group {
   }
 
   dispose() {
-    this.mesh.geometry.dispose();
+    this.hero?.dispose();
+    this.mesh?.geometry.dispose();
     this.material.dispose();
-    this.skeleton.dispose();
+    this.skeleton?.dispose();
     this.joints.geometry.dispose();
     this.joints.material.dispose();
     this.sticks.geometry.dispose();

@@ -1,9 +1,10 @@
 // A skeleton and its forward kinematics.
 
-import { unpack } from "./pack.js";
+import { Hero, readCharacter } from "./hero.js";
+import { bytesOf, unpack } from "./pack.js";
 
 export class Rig {
-  /** The rig of figure_data: names, hierarchy, offsets, and the body around it, in metres. */
+  /** The rig of figure_data: names, hierarchy, offsets, and the body around it, in metres, or the hero in its place. */
   static async from(data) {
     const rig = new Rig();
     rig.names = data.joints;
@@ -15,7 +16,8 @@ export class Rig {
     rig.stature = data.stature;
     rig.offsets = await unpack(data.offsets);
     const { body } = data;
-    rig.body = {
+    rig.hero = data.hero && { bytes: () => bytesOf(data.hero.data).buffer, ...data.hero };
+    rig.body = body && {
       points: (await unpack(body.points)),
       triangles: await unpack(body.triangles),
       joints: await unpack(body.joints),
@@ -30,6 +32,11 @@ export class Rig {
 
   get count() {
     return this.names.length;
+  }
+
+  /** A user's character for one more figure; null for a rig with a body. */
+  async newHero() {
+    return this.hero ? new Hero(await readCharacter(await this.hero.bytes()), this.hero) : null;
   }
 
   newPose() {

@@ -139,8 +139,10 @@ export class Play {
       if (known.color !== color) known.figure.color = new Color((known.color = color));
       return;
     }
+    const hero = await rig.newHero();
+    if (this.told.get(id)?.body !== body) return hero?.dispose();
     this.#remove(id);
-    const figure = new Figure(rig, new Color(color), this.stage.plain);
+    const figure = new Figure(rig, new Color(color), this.stage.plain, hero);
     figure.visible = false; // hidden until its first frame
     this.stage.scene.add(figure);
     this.characters.set(id, { id, body, owner: this.told.get(id).owner, color, figure, rig, pose: new Pose(rig.count) });
@@ -576,6 +578,15 @@ export class Play {
       if (document.activeElement !== this.noise) this.noise.value = String(own.temperature);
       this.#recordState(this.chosen, own.recording);
     }
+  }
+
+  /** Offers one more body, and puts it on the steered character. */
+  offer(name) {
+    if (!this.hello.bodies.some((body) => body.name === name)) this.hello.bodies.push({ name });
+    this.rigs.delete(name);
+    this.#tools();
+    this.#who();
+    this.link.ask("body", { character: this.chosen, body: name });
   }
 
   add() {

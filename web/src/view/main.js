@@ -33,7 +33,7 @@ class Viewer {
 
   #track(clip, color) {
     const group = new Group();
-    const figure = new Figure(clip.rig, new Color(color), this.stage.plain);
+    const figure = new Figure(clip.rig, new Color(color), this.stage.plain, clip.hero);
     figure.position.y = -clip.floor;
     const way = new Float32Array(clip.frames * 2);
     for (let frame = 0; frame < clip.frames; frame++) {
@@ -403,6 +403,7 @@ async function start() {
   const data = JSON.parse($("data").textContent);
   document.title = data.title;
   document.documentElement.toggleAttribute("data-bare", Boolean(data.bare));
+  for (const { hero } of data.motions) if (hero) hero.data = data.characters[hero.file];
   const viewer = new Viewer(await Promise.all(data.motions.map((motion) => Clip.from(motion))));
   viewer.choose(0);
   viewer.frameAll();

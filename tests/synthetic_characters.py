@@ -1,0 +1,104 @@
+"""Characters with meshes as .glb and .vrm files: rigs of test_gltf_rig by other names, with twist bones, as avatars."""
+
+from __future__ import annotations
+
+import functools
+import json
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from motionkit.motion.skeleton import JOINT_NAMES
+from rig.test_gltf_rig import VRM, character
+from synthetic_rigs import FAMILIES
+
+
+def skinned(value: dict[str, Any], change: Callable[[dict[str, Any]], object] = id) -> bytes:
+    """A character of test_gltf_rig with a mesh: a small triangle at each joint, weighted to it alone; then changed."""
+    joints = value["skins"][0]["joints"]
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], np.float32)
+    points = np.tile(corners, (len(joints), 1)) + np.arange(len(joints)).repeat(3)[:, None] * np.float32(0.01)
+    which = np.zeros((len(points), 4), np.uint16)
+    which[:, 0] = np.arange(len(joints)).repeat(3)
+    weights = np.zeros((len(points), 4), np.float32)
+    weights[:, 0] = 1.0
+    inverses = np.tile(np.eye(4, dtype=np.float32).reshape(1, 16), (len(joints), 1))
+    data, views, accessors = b"", [], []
+    for array, kind, component in (
+        (points, "VEC3", 5126), (which, "VEC4", 5123), (weights, "VEC4", 5126), (inverses, "MAT4", 5126),
+    ):  # fmt: skip
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
+        entry = {"bufferView": len(views) - 1, "componentType": component, "count": len(array), "type": kind}
+        if kind == "VEC3":
+            entry |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        accessors.append(entry)
+        data += array.tobytes()
+    value["skins"][0]["inverseBindMatrices"] = 3
+    attributes = {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 2}
+    value |= {
+        "asset": {"version": "2.0"}, "scene": 0, "meshes": [{"primitives": [{"attributes": attributes}]}],
+        "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data)}],
+    }  # fmt: skip
+    change(value)
+    text = json.dumps(value).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def avatar(version: str) -> dict[str, Any]:
+    """A character whose names say nothing, with the bone table of a VRM, and a spring bone on its head."""
+    value = character({name: f"J_{joint}" for joint, name in enumerate(JOINT_NAMES)})
+    head = JOINT_NAMES.index("Head") + 2
+    value["nodes"] += [{"name": "hair", "translation": [0, 5, -5], "children": [len(value["nodes"]) + 1]}]
+    value["nodes"] += [{"name": "tip", "translation": [0, -10, 0]}]
+    hair = len(value["nodes"]) - 2
+    value["nodes"][head].setdefault("children", []).append(hair)
+    bones = {bone: JOINT_NAMES.index(name) + 2 for name, bone in VRM.items()} | {"spine": 4, "head": head}
+    told = {bone: {"node": node} for bone, node in bones.items()}
+    if version == "1.0":
+        meta = {"name": "a", "authors": ["b"], "licenseUrl": "https://vrm.dev/licenses/1.0/"}
+        springs = [{"joints": [{"node": hair, "stiffness": 0.2}, {"node": hair + 1}]}]
+        value["extensions"] = {
+            "VRMC_vrm": {"specVersion": "1.0", "meta": meta, "humanoid": {"humanBones": told}},
+            "VRMC_springBone": {"specVersion": "1.0", "springs": springs},
+        }
+    else:
+        listed = [{"bone": bone, **entry} for bone, entry in told.items()]
+        group = {"stiffiness": 0.2, "gravityPower": 0.0, "dragForce": 0.4, "hitRadius": 0.0, "bones": [hair]}
+        value["extensions"] = {
+            "VRM": {"specVersion": "0.0", "meta": {"title": "a"}, "humanoid": {"humanBones": listed},
+                    "secondaryAnimation": {"boneGroups": [group]}, "blendShapeMaster": {"blendShapeGroups": []},
+                    "firstPerson": {}, "materialProperties": []}
+        }  # fmt: skip
+    value["extensionsUsed"] = list(value["extensions"])
+    return value
+
+
+def turned_back(value: dict[str, Any]) -> dict[str, Any]:
+    """The character faces -Z, as VRM 0.x."""
+    value["nodes"][1]["rotation"] = [0.0, 1.0, 0.0, 0.0]
+    return value
+
+
+def with_twists(value: dict[str, Any]) -> dict[str, Any]:
+    """A twist bone beside each forearm and upper arm, half way along."""
+    for name, below in (("LeftArm", "LeftForeArm"), ("RightForeArm", "RightHand")):
+        node, end = (value["nodes"][JOINT_NAMES.index(one) + 2] for one in (name, below))
+        node["children"].append(len(value["nodes"]))
+        value["skins"][0]["joints"].append(len(value["nodes"]))
+        half = (0.5 * np.array(end["translation"])).tolist()
+        value["nodes"].append({"name": f"{name}_twist", "translation": half})
+    return value
+
+
+CHARACTERS: dict[str, Callable[[], dict[str, Any]]] = {
+    "plain": character,
+    "twists": lambda: with_twists(character()),
+    "backwards": lambda: turned_back(character()),
+    "vrm0": lambda: turned_back(avatar("0.x")),
+    "vrm1": lambda: avatar("1.0"),
+    **{key: functools.partial(character, names) for key, names in FAMILIES.items()},
+}
