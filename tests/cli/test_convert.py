@@ -40,7 +40,7 @@ def test_convert(motionkit, walk: Motion, tmp_path: Path) -> None:
     back = read_motion(tmp_path / "b.bvh")
     assert np.abs(positions(back) - positions(walk)[::2]).max() < 1e-2
     assert motionkit("convert", "a.bvh", "a.fbx").code == 2
-    assert motionkit("convert", "a.csv", "b.bvh").failed_with("a.csv: cannot be read", ".bvh, .glb")
+    assert motionkit("convert", "a.csv", "b.bvh").failed_with("a.csv: cannot be read", ".bvh, .amc")
     assert motionkit("convert", "a.bvh", "a.bvh").code == 2
     assert motionkit("convert", "none.bvh", "c.glb").failed_with("none.bvh: no such file")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.bvh", "a.glb", "b.bvh"]

@@ -68,7 +68,7 @@ def folders(source: str, target: str) -> Callable:
 def _run_folder(values: dict[str, Any], source: str, target: str, form: str, jobs: int) -> None:
     """Run the command on every clip of a folder; raises MotionkitError at the end if some failed."""
     from motionkit.data.workers import worker_processes
-    from motionkit.rig.read_file import ENDINGS
+    from motionkit.rig.read_file import ENDINGS, told_endings
 
     folder, out = values[source], values[target]
     if out is None or out == STDOUT:
@@ -77,7 +77,7 @@ def _run_folder(values: dict[str, Any], source: str, target: str, form: str, job
         raise OverwriteError(f"{out}: is inside the input folder {folder}; choose another output folder")
     found = sorted(path for ending in ENDINGS for path in files_below(folder, ending))
     if not found:
-        raise MotionkitError(f"{folder}: no {' or '.join(ENDINGS)} files found")
+        raise MotionkitError(f"{folder}: no {told_endings()} files found")
     places = [(out / path.relative_to(folder)).with_suffix(f".{form}") for path in found]
     check_outputs(places, found)
     module = importlib.import_module("motionkit.cli.main").COMMANDS[click.get_current_context().info_name]

@@ -16,7 +16,7 @@ from motionkit.files import files_below, read_text
 from motionkit.names import nfc
 from motionkit.reading import ALL, told_animation
 from motionkit.rig.gltf import GltfFile
-from motionkit.rig.read_file import ENDINGS, is_gltf
+from motionkit.rig.read_file import ENDINGS, is_gltf, told_endings
 from motionkit.rig.read_glb import clip_lengths
 from motionkit.rig.sides import other_side
 
@@ -89,7 +89,7 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
         once.setdefault(_key(path), (path, folder))
     found = list(once.values())
     if not found:
-        raise DatasetError(f"{', '.join(str(f) for f in folders)}: no .bvh, .glb or .vrm files found")
+        raise DatasetError(f"{', '.join(str(f) for f in folders)}: no {told_endings()} files found")
     table = labels if labels is not None else _nearby_labels(folders)
     if table is None:
         return [source for path, folder in found for source in _by_name(path, folder)], None
