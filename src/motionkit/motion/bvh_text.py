@@ -396,7 +396,7 @@ def _plain(line: str) -> str:
     return " ".join(line.split())
 
 
-def check_duration(path: str | Path, frames: int, frame_time: float, line: int) -> None:
+def check_duration(path: str | Path, frames: int, frame_time: float, line: int | None) -> None:
     """Raise BvhError for a recording that would take far more memory at 60 fps than the file itself."""
     longest = longest_seconds(1.0 / frame_time)
     if frames * frame_time > longest * 1.001:  # the margin covers rounded frame times, such as 0.0166667

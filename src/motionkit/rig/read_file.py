@@ -7,6 +7,7 @@ from pathlib import Path
 
 from motionkit.motion.acclaim import read_acclaim
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh
+from motionkit.motion.npz import read_npz
 from motionkit.rig.character import read_character
 from motionkit.rig.read_glb import motion_of
 
@@ -15,6 +16,7 @@ READERS: dict[str, Callable[[str | Path], BvhFile]] = {
     ".bvh": read_bvh,
     ".amc": read_acclaim,
     ".asf": read_acclaim,
+    ".npz": read_npz,
 }
 GLTF_ENDINGS = (".glb", ".vrm")  # characters, with any number of animations
 RIGS_ONLY = (".asf",)
