@@ -19,6 +19,7 @@ WRITERS: dict[str, str] = {
     ".bvh": "formats:_write_bvh",
     ".glb": "glb:write_glb",
     ".vrm": "glb:write_vrm",
+    ".fbx": "fbx:write_fbx",
     ".vrma": "vrma:write_vrma",
     ".usda": "usda:write_usda",
     ".npz": "tables:write_npz",
@@ -26,7 +27,6 @@ WRITERS: dict[str, str] = {
 }
 # Endings of formats that are not written, and what to use instead.
 INSTEAD: dict[str, str] = {
-    ".fbx": "motionkit writes no FBX; write a .glb, and Blender makes an FBX of it (docs/clips.md, FBX)",
     ".gltf": "motionkit writes binary glTF only: use .glb",
     ".usd": "motionkit writes USD as text: use .usda",
     ".usdc": "motionkit writes USD as text: use .usda",

@@ -9,6 +9,7 @@ from motionkit.motion.acclaim import read_acclaim
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh
 from motionkit.motion.npz import read_npz
 from motionkit.rig.character import read_character
+from motionkit.rig.fbx import ENDING as FBX
 from motionkit.rig.read_glb import motion_of
 
 # Ending -> function that takes the path of such a file and returns a BvhFile.
@@ -18,7 +19,7 @@ READERS: dict[str, Callable[[str | Path], BvhFile]] = {
     ".asf": read_acclaim,
     ".npz": read_npz,
 }
-GLTF_ENDINGS = (".glb", ".vrm")  # characters, with any number of animations
+GLTF_ENDINGS = (".glb", ".vrm", FBX)  # characters, with any number of animations
 RIGS_ONLY = (".asf",)
 # Of files that are looked for in folders.
 ENDINGS = (*(ending for ending in READERS if ending not in RIGS_ONLY), *GLTF_ENDINGS)
