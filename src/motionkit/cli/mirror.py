@@ -16,6 +16,7 @@ from motionkit.cli.common import (
     read_strictly,
     remark,
     say,
+    taken_options,
 )
 from motionkit.errors import MotionkitError
 
@@ -31,6 +32,7 @@ from motionkit.errors import MotionkitError
     help="Settle no fault of a file; in folders, stop at the first.",
 )
 @animation_option
+@taken_options
 @json_option
 def command(source: Path, target: Path | None, output: Path | None, strict: bool, as_json: bool) -> None:
     """Write the mirror image of a BVH file: same hierarchy and channels, left and right swapped.

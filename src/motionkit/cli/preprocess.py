@@ -22,6 +22,7 @@ from motionkit.cli.common import (
     remark,
     stdout_console,
     switch,
+    taken_options,
 )
 from motionkit.cli.finite import FiniteRange
 from motionkit.errors import MotionkitError
@@ -60,6 +61,7 @@ SHOWN_SKIPS = 20  # skipped files that are listed by name
     help="Version of the 276 features; the preset tptn-paper needs expmap-root-1.",
 )
 @animations_option
+@taken_options
 @switch("--smooth/--raw", "Filter out marker jitter (7 Hz low-pass), or keep the recorded rotations.")
 @switch(
     "--level/--no-level",

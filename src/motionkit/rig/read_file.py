@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from motionkit.errors import MotionkitError
 from motionkit.motion.acclaim import read_acclaim
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh
 from motionkit.motion.npz import read_npz
+from motionkit.motion.skeleton import Skeleton
+from motionkit.reading import tell, told_joints
 from motionkit.rig.character import read_character
 from motionkit.rig.fbx import ENDING as FBX
 from motionkit.rig.read_glb import motion_of
@@ -37,8 +40,21 @@ def read_file(path: str | Path, clip: str | None = None) -> BvhFile:
     """
     if is_gltf(path):
         character = read_character(path)
-        return character.named(motion_to_bvh(motion_of(character, clip)[1]))
-    return READERS.get(Path(path).suffix.lower(), read_bvh)(path)
+        found = character.named(motion_to_bvh(motion_of(character, clip)[1]))
+    else:
+        found = READERS.get(Path(path).suffix.lower(), read_bvh)(path)
+    _check_map(path, found.skeleton)
+    return found
+
+
+def _check_map(path: str | Path, skeleton: Skeleton) -> None:
+    """Raise MotionkitError for a file that has some joints of the user's bone map only; tell of one that has none."""
+    joints = set((told_joints() or {}).values())
+    lacking = sorted(joints - set(skeleton.names))
+    if lacking and len(lacking) < len(joints):
+        raise MotionkitError(f"{path}: has no joint {lacking[0][:40]!r}, which the bone map names")
+    if lacking:
+        tell(path, ("its joints found by name and shape, because the bone map names none of them",))
 
 
 def is_gltf(path: str | Path) -> bool:
