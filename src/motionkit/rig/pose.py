@@ -166,7 +166,7 @@ def _backwards(source: SourceRig) -> SkeletonError:
     left, right = _names(source, "Foot")
     return SkeletonError(
         f"the feet {left} and {right} point backwards: left and right are exchanged, or the rig is mirrored by a "
-        "negative scale"
+        "negative scale; a bone map that exchanges them reads it (--map)"
     )
 
 
