@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from motionkit.data.labels import find_sources
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion, write_motion
 from motionkit.motion.kinematics import motion_kinematics
@@ -149,3 +150,12 @@ def test_faults_are_one_line(tmp_path: Path, write: Callable[[Path], None], said
         read_motion(tmp_path / "a.npz")
     assert said in str(told.value) and str(told.value).startswith(f"{tmp_path / 'a.npz'}: ")
     assert "\n" not in str(told.value)
+
+
+def test_bodies_beside_motions_are_no_faults_of_a_folder(tmp_path: Path) -> None:
+    """AMASS has an archive of betas in every folder."""
+    np.savez(tmp_path / "a_poses.npz", **amass(4))
+    np.savez(tmp_path / "shape.npz", betas=np.zeros(16))
+    (tmp_path / "damaged.npz").write_bytes(b"PK")
+    found = {source.name: source.skip_reason for source in find_sources([tmp_path])[0]}
+    assert found == {"a_poses.npz": "", "damaged.npz": "", "shape.npz": "has no motion"}

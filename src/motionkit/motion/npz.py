@@ -35,6 +35,7 @@ from motionkit.names import joint_names
 from motionkit.reading import tell
 
 RATE = 30.0  # frames per second of poses without one, as estimated from video
+_MOTION = ("local_rotations", "poses", "pose_body")  # one of which every archive of motion has
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate", "framerate")
 # What a damaged archive, or the header of one of its arrays, makes zipfile and numpy raise.
 _FAULTS = (
@@ -54,6 +55,15 @@ def read_npz(path: str | Path) -> BvhFile:
         if "local_rotations" in archive:
             return motion_to_bvh(_own(archive))
         return motion_to_bvh(_smpl(archive))
+
+
+def has_motion(path: str | Path) -> bool:
+    """Whether an archive names arrays of motion, as the bodies beside AMASS's motions do not; True if it is damaged."""
+    try:
+        with _opened(path) as archive:
+            return any(name in archive for name in _MOTION)
+    except MotionkitError:
+        return True
 
 
 class _Archive:

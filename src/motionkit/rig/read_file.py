@@ -8,7 +8,7 @@ from pathlib import Path
 from motionkit.errors import MotionkitError
 from motionkit.motion.acclaim import read_acclaim
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh
-from motionkit.motion.npz import read_npz
+from motionkit.motion.npz import has_motion, read_npz
 from motionkit.motion.skeleton import Skeleton
 from motionkit.reading import tell, told_joints
 from motionkit.rig.character import read_character
@@ -55,6 +55,11 @@ def _check_map(path: str | Path, skeleton: Skeleton) -> None:
         raise MotionkitError(f"{path}: has no joint {lacking[0][:40]!r}, which the bone map names")
     if lacking:
         tell(path, ("its joints found by name and shape, because the bone map names none of them",))
+
+
+def holds_motion(path: str | Path) -> bool:
+    """Whether a file of a folder is one to read: all but archives of other things."""
+    return Path(path).suffix.lower() != ".npz" or has_motion(path)
 
 
 def is_gltf(path: str | Path) -> bool:
