@@ -96,7 +96,7 @@ def command(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Turn BVH files and folders of them (DATA) into a dataset for training.
+    """Turn clips (.bvh, .amc, .npz, .glb, .vrm, .fbx) and folders of them (DATA) into a dataset for training.
 
     Every skeleton is mapped onto 23 joints, scaled to cm, resampled to 60 fps, cleaned, and written as
     276 features per frame, with mirror images and a split into training, validation and test clips. Links to

@@ -165,7 +165,7 @@ class Rigs:
 def command(
     source: Path | None, rigs: Rigs, scale: float | None, fps: float | None, ik: bool, wanted: Wanted
 ) -> None:
-    """Write the motion of SOURCE, a BVH, GLB or VRM file of any human rig, on the rig of another file.
+    """Write the motion of SOURCE, a clip of any human rig, on the rig of another file.
 
     Without --rig, the motion is written on the 23 canonical joints. Without SOURCE, the command shows how it
     understands the --rig: which joint is which, how sure that is, and what is unusual.

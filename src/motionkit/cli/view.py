@@ -76,7 +76,7 @@ def command(
     as_json: bool,
     **sizes: Any,
 ) -> None:
-    """Show BVH and skinned GLB files (CLIPS) of any rig, unit and frame rate.
+    """Show CLIPS (.bvh, .amc, .npz, .glb, .vrm, .fbx) of any rig, unit and frame rate.
 
     Without -o the command writes a web page, named after the first clip, to the current folder and opens it
     in the browser. The page is one self-contained HTML file.
@@ -114,7 +114,7 @@ def command(
 
 
 def _read(clip: Path) -> Motion:
-    """Read the motion of a .glb or .vrm file, or of a BVH file with any ending."""
+    """Read the motion of a file of any kind."""
     from motionkit.motion.bvh import bvh_to_motion
     from motionkit.rig.read_file import read_file
 
