@@ -27,6 +27,7 @@ class _Manner:
         up: the axis that points up in all files, such as "+Z"; None to find it.
         cm: cm per unit of all files; None to find it.
         animation: the name of the animation to read from files that have several, or ALL.
+        joints: canonical joints to the joints of files that have all of them; None to find them.
     """
 
     strict: bool = False
@@ -34,6 +35,7 @@ class _Manner:
     up: str | None = None
     cm: float | None = None
     animation: str | None = None
+    joints: dict[str, str] | None = None
 
 
 _manner: ContextVar[_Manner] = ContextVar("manner", default=_Manner())  # noqa: B039 (it is frozen)
@@ -59,6 +61,11 @@ def told_animation() -> str | None:
     return _manner.get().animation
 
 
+def told_joints() -> dict[str, str] | None:
+    """The bone map that the user gives, canonical joints to names of joints; None if they are to be found."""
+    return _manner.get().joints
+
+
 def manner() -> dict[str, Any]:
     """The present arguments of reading(), but for the listener: what another process needs to read alike."""
     given = vars(_manner.get())
@@ -78,9 +85,10 @@ def reading(
     up: str | None = None,
     cm: float | None = None,
     animation: str | None = None,
+    joints: dict[str, str] | None = None,
 ) -> Iterator[None]:
     """Read files within the block in this manner (_Manner); None leaves a field as it is."""
-    given = {"strict": strict, "hear": hear, "up": up, "cm": cm, "animation": animation}
+    given = {"strict": strict, "hear": hear, "up": up, "cm": cm, "animation": animation, "joints": joints}
     changed: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     token = _manner.set(replace(_manner.get(), **changed))
     try:

@@ -52,7 +52,7 @@ def test_a_pose_is_no_fault(motionkit, clips_folder: Path, tmp_path: Path) -> No
 
 def test_an_empty_folder(motionkit, tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
-    assert motionkit("doctor", "none").failed_with("no .bvh, .glb or .vrm files found")
+    assert motionkit("doctor", "none").failed_with("no .bvh, .amc, .npz, .glb, .vrm or .fbx files found")
 
 
 def test_files_that_are_not_labelled_are_no_fault(motionkit, clips_folder: Path, tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def test_a_broken_label_table_names_the_line(motionkit, clips: Path, tmp_path: P
 
 def test_no_bvh_files(motionkit, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    assert motionkit("preprocess", "empty").failed_with("no .bvh, .glb or .vrm files found")
+    assert motionkit("preprocess", "empty").failed_with("no .bvh, .amc, .npz, .glb, .vrm or .fbx files found")
     assert [p.name for p in tmp_path.iterdir()] == ["empty"]
 
 

@@ -62,7 +62,7 @@ def test_bad_requests(motionkit, clips: Path, tmp_path: Path) -> None:
     assert motionkit("quickstart", "mine", "-o", "mine/out").code == 2
     assert motionkit("quickstart", "nothing").code == 2
     (tmp_path / "none").mkdir()
-    assert motionkit("quickstart", "none").failed_with("no .bvh, .glb or .vrm files found")
+    assert motionkit("quickstart", "none").failed_with("no .bvh, .amc, .npz, .glb, .vrm or .fbx files found")
     assert {path.name for path in tmp_path.iterdir()} == {"mine", "none"}
     assert motionkit("quickstart", "mine", "--force", "--resume").code == 2
 

@@ -178,7 +178,7 @@ def test_rigs_that_are_refused(place: Path) -> None:
     assert not list(place.glob("walking*"))
     assert run("convert", "walk.bvh", "walk.vrma").exit_code == 0
     assert fault("retarget", "--rig", "walk.vrma").startswith(
-        "walk.vrma: expected a rig, a .bvh, .glb or .vrm"
+        "walk.vrma: expected a rig, such as a .bvh, .glb or .vrm"
     )
     assert "0.0001<=x<=10000" in run("retarget", "walk.bvh", "--scale", "1e9").output
 

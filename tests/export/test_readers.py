@@ -23,7 +23,7 @@ import pytest
 from motionkit.arrays import Array
 from motionkit.export.clip import Clip, rig_clip
 from motionkit.export.figure import make_figure
-from motionkit.export.formats import write_motion
+from motionkit.export.formats import read_motion, write_motion
 from motionkit.export.glb import add_figure
 from motionkit.export.vrma import BONES, humanoid_motion
 from motionkit.finish.on_rig import on_rig
@@ -31,6 +31,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.reading import reading
 from motionkit.rig.gltf import GltfDocument
 from motionkit.rig.on_rig import read_rig
 from synthetic_motions import make_cartwheel, make_walk
@@ -246,16 +247,27 @@ def test_blender_imports_bones_frames_and_places(files: Path, place: Array, moti
         assert one["skinned"] == (0 if one["file"].endswith(".bvh") else 1), one
 
 
-def test_the_fbx_recipe(files: Path, place: Array, motion: Motion, tmp_path: Path) -> None:
-    """The script of docs/clips.md makes an FBX that Blender reads back."""
-    page = (HERE.parents[1] / "docs" / "clips.md").read_text("utf-8")
-    script = page.split("```python title=glb_to_fbx.py\n")[1].split("```")[0]
-    (tmp_path / "glb_to_fbx.py").write_text(script)
-    blender(tmp_path / "glb_to_fbx.py", files / "a.glb", tmp_path / "a.fbx")
+def test_fbx_through_blender(
+    place: Array, motion: Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """motionkit's FBX is the motion to a program that reads it, and to motionkit."""
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    started = (
+        tmp_path / "blender"
+    )  # which is called with --background --factory-startup --python SCRIPT -- ...
+    started.write_text(f'#!/bin/sh\nshift 3\nexec {os.environ.get("MOTIONKIT_BPY")} "$@"\n')
+    started.chmod(0o755)
+    blender("-c", "import bpy")
+    write_motion(tmp_path / "a.fbx", motion)
     lines = blender(HERE / "blender_check.py", JOINT, SECONDS, tmp_path / "a.fbx").splitlines()
     (found,) = json.loads(next(line for line in lines if line.startswith("RESULT "))[7:])
     assert (found["bones"], found["frames"]) == (len(motion.skeleton), len(motion))
     assert found["place"] == pytest.approx(place, abs=5e-3)
+    with reading(hear=lambda note: None):
+        again = read_motion(tmp_path / "a.fbx")
+    index = [again.skeleton.index(name) for name in motion.skeleton.names]
+    assert again.fps == motion.fps
+    assert np.abs(motion_kinematics(again)[1][:, index] - motion_kinematics(motion)[1]).max() < 0.01
 
 
 ADD_ON = HERE.parents[1] / "integrations" / "blender" / "motionkit_blender.py"

@@ -6,6 +6,7 @@ import json
 import os
 import random
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -31,9 +32,13 @@ from motionkit.data.labels import find_sources
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.errors import MotionkitError
+from motionkit.export.formats import write_motion
 from motionkit.metrics.report import evaluate_files
 from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
+from motionkit.motion.motion import Motion
 from motionkit.rig.mirror import mirror_file
+from motionkit.rig.read_file import read_file
+from synthetic_acclaim import write_acclaim
 from synthetic_motions import make_walk
 
 # numpy's warnings would reach the user's terminal beside the one line.
@@ -172,6 +177,54 @@ def test_bvh_files(tmp_path_factory, seed: int, walk: Path, broken_folder: Path)
     refuses_or_works(bvh_case(random.Random(seed), folder, [walk, broken_folder / "good.bvh"]))
 
 
+ACCLAIM_WORDS = (
+    ":units",
+    ":root",
+    ":hierarchy",
+    ":bonedata",
+    "begin",
+    "end",
+    "root",
+    "lfemur",
+    "length",
+    "rx",
+    "2",
+)
+
+
+def acclaim_case(chance: random.Random, folder: Path) -> Callable[[], None]:
+    """A mutated .asf or .amc, or both."""
+    made = write_acclaim(folder, make_walk(3))
+    for path in chance.choice(([made], [folder / "07.asf"], [made, folder / "07.asf"])):
+        path.write_bytes(mutated_text(chance, path.read_text(), ACCLAIM_WORDS))
+    return lambda: finite(bvh_to_motion(read_file(made)))
+
+
+def archive_case(chance: random.Random, folder: Path) -> Callable[[], None]:
+    """A mutated archive: its bytes, or those of one of its arrays with everything else right."""
+    path, arrays = folder / "a.npz", {"poses": np.zeros((4, 72)), "trans": np.ones((4, 3)), "fps": 30.0}
+    write_motion(path, make_walk(4)) if chance.random() < 0.5 else np.savez(path, **arrays)
+    if chance.random() < 0.3:
+        path.write_bytes(mutated_bytes(chance, path.read_bytes()))
+    else:
+        with zipfile.ZipFile(path) as archive:
+            parts = {name: archive.read(name) for name in archive.namelist()}
+        name = chance.choice(sorted(parts))
+        whole = chance.random() < 0.3
+        parts[name] = mutated_bytes(chance, parts[name][: None if whole else 128]) + (
+            b"" if whole else parts[name][128:]
+        )
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, data in parts.items():
+                archive.writestr(name, data)
+    return lambda: finite(bvh_to_motion(read_file(path)))
+
+
+def finite(motion: Motion) -> None:
+    for values in (motion.local_rotations, motion.root_positions, motion.skeleton.offsets):
+        assert np.isfinite(values).all()
+
+
 LABELS = "file,start_frame,end_frame,type,subject,fps,split\nwalk.bvh,0,60,walking,1,,train\nwalk.bvh,60,-1,run,,120,\n"
 
 
@@ -216,13 +269,25 @@ def path_case(chance: random.Random, folder: Path) -> Callable[[], None]:
     return work
 
 
+def one_case(tmp_path_factory: pytest.TempPathFactory, make: Callable, seed: int) -> None:
+    folder = tmp_path_factory.getbasetemp() / make.__name__
+    folder.mkdir(exist_ok=True)
+    refuses_or_works(make(random.Random(seed), folder))
+
+
 @pytest.mark.parametrize("make", [labels_case, path_case])
 @settings(quick, max_examples=500)
 @given(seed=seeds)
 def test_label_tables_and_paths(tmp_path_factory, make: Callable, seed: int) -> None:
-    folder = tmp_path_factory.getbasetemp() / make.__name__
-    folder.mkdir(exist_ok=True)
-    refuses_or_works(make(random.Random(seed), folder))
+    one_case(tmp_path_factory, make, seed)
+
+
+@pytest.mark.parametrize("make", [acclaim_case, archive_case])
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@settings(quick, max_examples=150)
+@given(seed=seeds)
+def test_other_sources_of_motion(tmp_path_factory, make: Callable, seed: int) -> None:
+    one_case(tmp_path_factory, make, seed)
 
 
 def dataset_case(chance: random.Random, whole: Path, folder: Path) -> Callable[[], None]:
@@ -291,7 +356,7 @@ def test_bvh_files_for_long(tmp_path: Path, walk: Path, broken_folder: Path) -> 
 @pytest.mark.slow
 def test_tables_and_paths_for_long(tmp_path: Path) -> None:
     def case(chance: random.Random) -> None:
-        make = chance.choice((labels_case, path_case))
+        make = chance.choice((labels_case, path_case, acclaim_case, archive_case))
         refuses_or_works_apart(make(chance, tmp_path))
 
     for_seconds(0.1 * SLOW_SECONDS, case, 10**6)

@@ -287,7 +287,7 @@ def test_a_recording_holds_the_frames_that_were_sent(session: Session, tmp_path:
 
 
 def test_recordings_have_every_format(session: Session, tmp_path: Path) -> None:
-    assert set(FORMATS) == {ending.removeprefix(".") for ending in WRITERS} == set(outputs.FORMATS)
+    assert {"fbx", *FORMATS} == {ending.removeprefix(".") for ending in WRITERS} == set(outputs.FORMATS)
     session.join(1)
     ask(session, 1, "record", on=True)
     play(session, 8)

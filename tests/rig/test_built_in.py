@@ -14,7 +14,7 @@ from motionkit.arrays import normalized
 from motionkit.editing.rest_frame import with_rest_frame
 from motionkit.errors import MotionkitError
 from motionkit.export.clip import rig_clip
-from motionkit.export.formats import READERS, WRITERS, read_motion
+from motionkit.export.formats import WRITERS, read_motion
 from motionkit.finish.on_rig import on_rig
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
@@ -81,14 +81,14 @@ def test_feet_are_on_the_floor(rig: Rig, make: Callable[[], Motion]) -> None:
     assert abs(np.quantile(lower, 0.25) - rig.stance / rig.scale) < 0.5 and lower.min() > 1.5
 
 
-@pytest.mark.parametrize("ending", [ending for ending in WRITERS if ending != ".vrm"])
+@pytest.mark.parametrize("ending", [ending for ending in WRITERS if ending not in (".vrm", ".fbx")])
 def test_every_format(rig: Rig, ending: str, tmp_path: Path) -> None:
-    """All formats but a .vrm, which is an avatar with a body of its own."""
+    """All formats but a .vrm, which is an avatar with a body of its own, and FBX, which needs Blender."""
     made = on_rig(make_walk(10), rig)
     path = tmp_path / f"out{ending}"
     mk.write(path, rig_clip(made, rig, "walk"))
     assert path.stat().st_size > 500
-    if ending in READERS and ending != ".vrm":
+    if ending in (".bvh", ".glb"):
         again = read_motion(path)
         assert set(again.skeleton.names) >= set(made.skeleton.names)
         index = [again.skeleton.index(name) for name in made.skeleton.names]

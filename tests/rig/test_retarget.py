@@ -28,7 +28,7 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton, mirrored_name
 from motionkit.rig.names import map_rig, name_part
 from motionkit.rig.retarget import retarget, retarget_file
-from motionkit.rig.rig import read_bvh_rig
+from motionkit.rig.rig import read_joints_rig
 from synthetic_rigs import FAMILIES, renamed, turned_rest, walk
 
 
@@ -438,19 +438,19 @@ def test_a_map_that_exchanges_left_and_right_is_refused(
         names |= {f"Left{part}": f"Right{part}", f"Right{part}": f"Left{part}"}
     (tmp_path / "map.json").write_text(json.dumps({"joints": names}))
     with pytest.raises(SkeletonError, match=re.escape(says)):
-        read_bvh_rig(tmp_path / "rig.bvh", tmp_path / "map.json")
-    read_bvh_rig(tmp_path / "rig.bvh")
+        read_joints_rig(tmp_path / "rig.bvh", tmp_path / "map.json")
+    read_joints_rig(tmp_path / "rig.bvh")
 
 
 def test_a_map_that_exchanges_all_of_left_and_right_is_refused_whatever_the_rest_pose(tmp_path: Path) -> None:
     changes = np.random.default_rng(3).standard_normal((len(JOINT_NAMES), 4), np.float32)
     write_bvh(tmp_path / "rig.bvh", turned_rest(walk(120), quat_normalize(changes)))
-    read_bvh_rig(tmp_path / "rig.bvh")
+    read_joints_rig(tmp_path / "rig.bvh")
     (tmp_path / "map.json").write_text(
         json.dumps({"joints": {name: mirrored_name(name) for name in JOINT_NAMES}})
     )
     with pytest.raises(SkeletonError, match="the feet RightFoot and LeftFoot point backwards"):
-        read_bvh_rig(tmp_path / "rig.bvh", tmp_path / "map.json")
+        read_joints_rig(tmp_path / "rig.bvh", tmp_path / "map.json")
 
 
 @pytest.mark.parametrize("degrees", [90.0, 180.0, -90.0])

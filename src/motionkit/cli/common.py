@@ -109,41 +109,68 @@ strict_option = click.option(
 )
 
 
-def _read_upright(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+UPS = click.Choice(["X", "Y", "Z", "-X", "-Y", "-Z"], case_sensitive=False)
+
+
+def given_up(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+    """The up axis that the user gives, which is said."""
     if value:
-        context.with_resource(reading(up=value))
+        remark(f"as given: {value} is up")
+    return value
+
+
+def given_cm(context: click.Context, parameter: click.Parameter, value: str | None) -> float | None:
+    """The cm of the unit that the user names, which are said."""
+    if not value:
+        return None
+    from motionkit.rig.units import UNITS, named_unit
+
+    try:
+        cm = named_unit(value)
+    except ValueError:
+        known = ", ".join(unit.symbol for unit in UNITS)
+        raise click.BadParameter(f"expected {known} or the cm per unit, found {value!r}") from None
+    remark(f"as given: 1 unit is {cm:.6g} cm")
+    return cm
+
+
+def _read_upright(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    context.with_resource(reading(up=given_up(context, parameter, value)))
 
 
 def _read_unit(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    context.with_resource(reading(cm=given_cm(context, parameter, value)))
+
+
+def _read_mapped(context: click.Context, parameter: click.Parameter, value: Path | None) -> None:
     if value:
-        from motionkit.rig.units import UNITS, named_unit
+        from motionkit.rig.map_file import read_joints
 
-        try:
-            context.with_resource(reading(cm=named_unit(value)))
-        except ValueError:
-            known = ", ".join(unit.symbol for unit in UNITS)
-            raise click.BadParameter(f"expected {known} or the cm per unit, found {value!r}") from None
+        context.with_resource(reading(joints=read_joints(value)))
+        remark(f"as given: the bone map {value}")
 
 
-# How the clips of a command are read, in place of what is found in them.
-clip_options = together(
-    strict_option,
-    click.option(
-        "--up",
-        type=click.Choice(["X", "Y", "Z", "-X", "-Y", "-Z"], case_sensitive=False),
-        is_eager=True,
-        expose_value=False,
-        callback=_read_upright,
-        help="Axis of the clips that points up; found by default.",
-    ),
-    click.option(
+def taken_option(name: str, callback: Callable[..., None], text: str, **more: Any) -> Callable:
+    """An option for what is taken of clips instead of found in them, said as the command begins."""
+    return click.option(name, is_eager=True, expose_value=False, callback=callback, help=text, **more)
+
+
+# What is taken of the clips of a command in place of what is found in them.
+taken_options = together(
+    taken_option("--up", _read_upright, "Axis of the clips that points up; found by default.", type=UPS),
+    taken_option(
         "--unit",
-        is_eager=True,
-        expose_value=False,
-        callback=_read_unit,
-        help="Unit of the clips: cm, m, mm, dm, inches, or the centimetres per unit; found by default.",
+        _read_unit,
+        "Unit of the clips: cm, m, mm, dm, inches, or the centimetres per unit; found by default.",
+    ),
+    taken_option(
+        "--map",
+        _read_mapped,
+        "Bone map of the clips (JSON, from `motionkit retarget --save-map`); found by names and shape by default.",
+        type=EXISTING_FILE,
     ),
 )
+clip_options = together(strict_option, taken_options)
 
 
 def seed_option(default: int = 0) -> Callable:

@@ -37,7 +37,7 @@ NO_LIMIT = 1000  # columns, if the output is not a terminal
 @clip_options
 @json_option
 def command(data: tuple[Path, ...], labels: Path | None, as_json: bool) -> None:
-    """Look at BVH files and folders of them (DATA) before training.
+    """Look at clips (.bvh, .amc, .npz, .glb, .vrm, .fbx) and folders of them (DATA) before training.
 
     Prints for each clip its rig, unit, frame rate, up axis, floor, glitches and motion type, and for each type
     how much there is to learn from and what looks wrong: clips that never leave the ground where most of their

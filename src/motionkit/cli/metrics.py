@@ -14,6 +14,7 @@ from motionkit.cli.common import (
     EXISTING_FILE,
     Stages,
     animation_option,
+    clip_options,
     gathered,
     json_option,
     option,
@@ -21,7 +22,6 @@ from motionkit.cli.common import (
     remark,
     say,
     stdout_console,
-    strict_option,
 )
 from motionkit.cli.finite import FINITE, FiniteRange
 from motionkit.cli.outputs import Outputs, default_output, view_option
@@ -165,7 +165,7 @@ class Measuring:
 @_positive("--generated-fps", "Frame rate of GENERATED, if its header is wrong.")
 @animation_option
 @view_option
-@strict_option
+@clip_options
 @json_option
 @click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV, one row per metric.")
 @gathered("settings", _settings)

@@ -16,6 +16,7 @@ from motionkit.cli.common import (
     read_strictly,
     remark,
     say,
+    taken_options,
 )
 from motionkit.errors import MotionkitError
 
@@ -31,6 +32,7 @@ from motionkit.errors import MotionkitError
     help="Settle no fault of a file; in folders, stop at the first.",
 )
 @animation_option
+@taken_options
 @json_option
 def command(source: Path, target: Path | None, output: Path | None, strict: bool, as_json: bool) -> None:
     """Write the mirror image of a BVH file: same hierarchy and channels, left and right swapped.
@@ -47,10 +49,10 @@ def command(source: Path, target: Path | None, output: Path | None, strict: bool
     if source.is_dir():
         _mirror_folder(source, target, strict, as_json)
         return
-    from motionkit.rig.read_file import is_gltf
+    from motionkit.rig.read_file import is_bvh
 
-    if is_gltf(source):
-        _mirror_character(source, target)
+    if not is_bvh(source):
+        _mirror_clip(source, target)
     else:
         from motionkit.rig.mirror import mirror_file
 
@@ -61,8 +63,8 @@ def command(source: Path, target: Path | None, output: Path | None, strict: bool
         say(f"wrote {target}: the mirror image of {source}")
 
 
-def _mirror_character(source: Path, target: Path) -> None:
-    """Write the mirror image of an animation of a .glb or .vrm, into that file if TARGET is one."""
+def _mirror_clip(source: Path, target: Path) -> None:
+    """Write the mirror image of a clip that is not BVH; of an animation of a .glb or .vrm into that file."""
     from dataclasses import replace
 
     from motionkit.cli.outputs import naming

@@ -24,7 +24,16 @@ if TYPE_CHECKING:
     from motionkit.export.clip import Clip
     from motionkit.view.figure_data import Shown
 
-FORMATS = ("bvh", "glb", "vrm", "vrma", "usda", "npz", "csv")  # as in export.formats, which is slow to import
+FORMATS = (
+    "bvh",
+    "glb",
+    "fbx",
+    "vrm",
+    "vrma",
+    "usda",
+    "npz",
+    "csv",
+)  # as in export.formats, which is slow to import
 ENDINGS = f"{', '.join(f'.{name}' for name in FORMATS[:-1])} or .{FORMATS[-1]}"
 STDOUT = Path("-")
 

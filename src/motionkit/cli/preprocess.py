@@ -22,6 +22,7 @@ from motionkit.cli.common import (
     remark,
     stdout_console,
     switch,
+    taken_options,
 )
 from motionkit.cli.finite import FiniteRange
 from motionkit.errors import MotionkitError
@@ -60,6 +61,7 @@ SHOWN_SKIPS = 20  # skipped files that are listed by name
     help="Version of the 276 features; the preset tptn-paper needs expmap-root-1.",
 )
 @animations_option
+@taken_options
 @switch("--smooth/--raw", "Filter out marker jitter (7 Hz low-pass), or keep the recorded rotations.")
 @switch(
     "--level/--no-level",
@@ -94,7 +96,7 @@ def command(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Turn BVH files and folders of them (DATA) into a dataset for training.
+    """Turn clips (.bvh, .amc, .npz, .glb, .vrm, .fbx) and folders of them (DATA) into a dataset for training.
 
     Every skeleton is mapped onto 23 joints, scaled to cm, resampled to 60 fps, cleaned, and written as
     276 features per frame, with mirror images and a split into training, validation and test clips. Links to

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,8 +14,11 @@ from motionkit.cli.common import (
     EXISTING,
     EXISTING_FILE,
     FILE,
+    UPS,
     animation_option,
     gathered,
+    given_cm,
+    given_up,
     json_option,
     print_json,
     remark,
@@ -36,6 +40,7 @@ from motionkit.cli.rig_options import (
     rig_option,
 )
 from motionkit.names import counted
+from motionkit.reading import reading
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -43,6 +48,7 @@ if TYPE_CHECKING:
     from motionkit.motion.motion import Motion
     from motionkit.rig.retarget import RetargetReport
     from motionkit.rig.rig import Rig
+    from motionkit.view.figure_data import Shown
 
 _SHOWN_OTHERS = 12  # joints without a canonical joint that are listed
 _SURE = 0.9  # if any joint is less certain than this, or missing, the whole bone map is shown
@@ -51,7 +57,7 @@ _EXPECTED = ("Hips", "Neck", "Head", "Arm", "Hand", "Leg", "Foot", "ToeBase")
 
 @dataclass(frozen=True)
 class Rigs:
-    """The files that describe the rigs of SOURCE and of the result."""
+    """The files that describe the rigs of SOURCE and of the result, and what is taken of SOURCE."""
 
     rig_path: Path | None
     map_path: Path | None
@@ -60,6 +66,8 @@ class Rigs:
     source_rig: Path | None
     source_map: Path | None
     rest_frame: bool
+    up: str | None
+    unit: float | None
 
     @property
     def name(self) -> str:
@@ -76,10 +84,25 @@ class Rigs:
         """The motion of SOURCE, the report on it, and its rig if the options give one."""
         from motionkit.rig.on_rig import read_motion, read_on_any_rig, read_rig
 
-        if self.source_rig is not None or self.source_map is not None:
-            known = read_rig(self.source_rig or source, self.source_map)
-            return (*read_motion(source, known, scale), known)
-        return (*read_on_any_rig(source, target, scale), None)
+        with self.reading():
+            if self.source_rig is not None or self.source_map is not None:
+                known = read_rig(self.source_rig or source, self.source_map)
+                return (*read_motion(source, known, scale), known)
+            return (*read_on_any_rig(source, target, scale), None)
+
+    def reading(self) -> AbstractContextManager[None]:
+        """Read with what the user says of SOURCE."""
+        return reading(up=self.up, cm=self.unit)
+
+    def shown(self, source: Path) -> Shown:
+        """SOURCE as it is, to look at."""
+        from motionkit.motion.bvh import bvh_to_motion
+        from motionkit.rig.read_file import read_file
+        from motionkit.rig.upright import in_metres
+        from motionkit.view.figure_data import Shown
+
+        with self.reading():
+            return Shown(source.stem, in_metres(bvh_to_motion(read_file(source))).motion)
 
     def save(self, rig: Rig | None, source: Path) -> list[str]:
         """Write the bone map of a rig to --save-map, by default that of SOURCE; returns the lines to print."""
@@ -113,6 +136,12 @@ class Rigs:
 @click.option(
     "--source-map", type=EXISTING_FILE, help="Bone map of SOURCE; found by names and shape by default."
 )
+@click.option("--up", type=UPS, callback=given_up, help="Axis of SOURCE that points up; found by default.")
+@click.option(
+    "--unit",
+    callback=given_cm,
+    help="Unit of SOURCE: cm, m, mm, dm, inches, or the centimetres per unit; found by default.",
+)
 @click.option(
     "--scale", type=FiniteRange(1e-4, 1e4), help="Centimetres per unit of SOURCE; detected by default."
 )
@@ -136,7 +165,7 @@ class Rigs:
 def command(
     source: Path | None, rigs: Rigs, scale: float | None, fps: float | None, ik: bool, wanted: Wanted
 ) -> None:
-    """Write the motion of SOURCE, a BVH, GLB or VRM file of any human rig, on the rig of another file.
+    """Write the motion of SOURCE, a clip of any human rig, on the rig of another file.
 
     Without --rig, the motion is written on the 23 canonical joints. Without SOURCE, the command shows how it
     understands the --rig: which joint is which, how sure that is, and what is unusual.
@@ -159,16 +188,9 @@ def command(
     made = RootMotion(rest_frame=rigs.rest_frame).applied(choice.on_rig(motion, ik), rig=choice.rig)
     outputs.write(choice.clip_of(made, outputs.file.stem))
     saved = rigs.save(choice.rig or known, source)
-    from motionkit.motion.bvh import bvh_to_motion
-    from motionkit.rig.read_file import read_file
     from motionkit.view.figure_data import Shown
 
-    outputs.show(
-        lambda: [
-            Shown(source.stem, bvh_to_motion(read_file(source))),
-            Shown(outputs.file.stem, made, character=choice.character),
-        ]
-    )
+    outputs.show(lambda: [rigs.shown(source), Shown(outputs.file.stem, made, character=choice.character)])
     facts = {
         "file": outputs.file,
         "frames": len(made),

@@ -47,9 +47,9 @@ rig_option = together(
         "--rig",
         "rig_path",
         type=RIG_FILE,
-        help="Write the motion on the rig of this file (.bvh, .glb, .vrm): same joints, names, rest pose, channels, "
-        "unit and axes; by default on the 23 canonical joints. From .glb and .vrm to such a file, the whole character "
-        "is kept. @NAME is a built-in rig, such as @mixamo.",
+        help="Write the motion on the rig of this file (.bvh, .glb, .vrm, .fbx, .asf): same joints, names, rest pose, "
+        "channels, unit and axes; by default on the 23 canonical joints. From .glb, .vrm and .fbx to such a file, the "
+        "whole character is kept. @NAME is a built-in rig, such as @mixamo.",
     ),
     click.option(
         "--list-rigs",
@@ -71,7 +71,7 @@ clip_option = click.option(
     "--from",
     "clip_path",
     type=EXISTING_FILE,
-    help="BVH file of the --rig: its joints that motionkit does not know (fingers, props) move as they do there; in "
+    help="Clip of the --rig: its joints that motionkit does not know (fingers, props) move as they do there; in "
     "their rest pose by default.",
 )
 rest_frame_option = click.option(

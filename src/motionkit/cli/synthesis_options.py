@@ -106,7 +106,7 @@ synthesis_options: Callable = together(
     click.option(
         "--init",
         type=EXISTING_FILE,
-        help="Start from the first frames of this file (.bvh, .glb, .vrm); from a pose in the model by default.",
+        help="Start from the first frames of this clip; from a pose in the model by default.",
     ),
     named_animation_option("Animation of the --init or --from file, if that is a .glb or .vrm with several."),
     noise_options,

@@ -23,7 +23,7 @@ from motionkit.cli.common import (
     say,
 )
 from motionkit.cli.outputs import default_output, naming
-from motionkit.cli.rig_options import RIG_FILE, RigChoice, map_option, open_rig
+from motionkit.cli.rig_options import RIG_FILE, RigChoice, open_rig
 from motionkit.cli.showing import open_in_browser
 from motionkit.names import counted, visible
 
@@ -41,8 +41,8 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
     return value
 
 
-def _open_rig(rig_path: Path | None, map_path: Path | None) -> RigChoice:
-    return open_rig(rig_path, map_path, None)
+def _open_rig(rig_path: Path | None) -> RigChoice:
+    return open_rig(rig_path, None, None)
 
 
 @click.command("view")
@@ -62,7 +62,6 @@ def _open_rig(rig_path: Path | None, map_path: Path | None) -> RigChoice:
     help="Show the clips on the rig of this file (.bvh, .glb, .vrm) or @NAME. A page shows the character of a .glb or "
     ".vrm with its meshes; pictures show its joints.",
 )
-@map_option
 @click.option(
     "--path",
     "path_file",
@@ -94,7 +93,7 @@ def command(
     choice: RigChoice,
     **sizes: Any,
 ) -> None:
-    """Show BVH, GLB and VRM files (CLIPS) of any rig, unit and frame rate.
+    """Show CLIPS (.bvh, .amc, .npz, .glb, .vrm, .fbx) of any rig, unit and frame rate.
 
     Without -o the command writes a web page, named after the first clip, to the current folder and opens it
     in the browser. The page is one self-contained HTML file, with the character of a GLB or VRM in it.
@@ -132,20 +131,20 @@ def command(
 
 
 def _shown(path: Path, name: str, rig: Rig | None) -> Shown:
-    """Read the motion of a .glb or .vrm, or of a BVH file with any ending, and put it on the rig if there is one."""
+    """Read the motion of a file of any kind, and put it on the rig if there is one."""
     from motionkit.export.clip import Clip
     from motionkit.export.formats import read_clip
     from motionkit.finish.on_rig import on_rig
-    from motionkit.motion.bvh import bvh_to_motion, read_bvh
+    from motionkit.motion.bvh import bvh_to_motion
     from motionkit.rig.on_rig import read_on_any_rig
-    from motionkit.rig.read_file import is_gltf
+    from motionkit.rig.read_file import is_gltf, read_file
     from motionkit.view.body import check_bones
     from motionkit.view.figure_data import Shown
 
     if rig is not None:
         clip = Clip(on_rig(read_on_any_rig(path, rig)[0], rig), character=rig.character)
     else:
-        clip = read_clip(path) if is_gltf(path) else Clip(bvh_to_motion(read_bvh(path)))
+        clip = read_clip(path) if is_gltf(path) else Clip(bvh_to_motion(read_file(path)))
     shown = Shown(name, clip.motion, character=clip.character)
     if shown.hero is None:
         with naming(path):

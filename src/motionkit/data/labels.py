@@ -16,7 +16,7 @@ from motionkit.files import files_below, read_text
 from motionkit.names import nfc
 from motionkit.reading import ALL, told_animation
 from motionkit.rig.gltf import GltfFile
-from motionkit.rig.read_file import ENDINGS, is_gltf
+from motionkit.rig.read_file import ENDINGS, holds_motion, is_gltf, told_endings
 from motionkit.rig.read_glb import clip_lengths
 from motionkit.rig.sides import other_side
 
@@ -89,7 +89,7 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
         once.setdefault(_key(path), (path, folder))
     found = list(once.values())
     if not found:
-        raise DatasetError(f"{', '.join(str(f) for f in folders)}: no .bvh, .glb or .vrm files found")
+        raise DatasetError(f"{', '.join(str(f) for f in folders)}: no {told_endings()} files found")
     table = labels if labels is not None else _nearby_labels(folders)
     if table is None:
         return [source for path, folder in found for source in _by_name(path, folder)], None
@@ -110,10 +110,11 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
 def _clips(path: Path) -> list[tuple[str | None, bool]]:
     """The animations of a file to read, None for its only one; and whether the file is read more than once.
 
-    There is none in a character without animations. A file that cannot be read is left to whoever reads it.
+    There is none in a character without animations, or an archive without motion. A file that cannot be read is left to
+    whoever reads it.
     """
     if not is_gltf(path):
-        return [(None, False)]
+        return [(None, False)] if holds_motion(path) else []
     try:
         names = [name for name, _ in clip_lengths(GltfFile(path))]
     except MotionkitError:
@@ -165,7 +166,8 @@ def _by_name(path: Path, folder: Path) -> list[SourceFile]:
             raise DatasetError(f"{path}: the folder or file name gives the motion type {fault}; rename it")
         name = inside.as_posix() + (f"#{clip}" if several else "")
         found.append(SourceFile(path, name, (Segment(0, -1, kind),), clip=clip))
-    return found or [SourceFile(path, inside.as_posix(), (), "has no animation")]
+    reason = "has no animation" if is_gltf(path) else "has no motion"
+    return found or [SourceFile(path, inside.as_posix(), (), reason)]
 
 
 def type_from_file_name(stem: str) -> str:

@@ -1,4 +1,4 @@
-"""The table of motion formats: file endings with their readers and writers.
+"""The table of motion formats that are written; rig/read_file.py has those that are read.
 
 mk.write and all commands that write a motion use it.
 """
@@ -19,19 +19,14 @@ WRITERS: dict[str, str] = {
     ".bvh": "formats:_write_bvh",
     ".glb": "glb:write_glb",
     ".vrm": "glb:write_vrm",
+    ".fbx": "fbx:write_fbx",
     ".vrma": "vrma:write_vrma",
     ".usda": "usda:write_usda",
     ".npz": "tables:write_npz",
     ".csv": "tables:write_csv",
 }
-READERS: dict[str, str] = {
-    ".bvh": "formats:_read_bvh",
-    ".glb": "formats:_read_glb",
-    ".vrm": "formats:_read_glb",
-}
 # Endings of formats that are not written, and what to use instead.
 INSTEAD: dict[str, str] = {
-    ".fbx": "motionkit writes no FBX; write a .glb, and Blender makes an FBX of it (docs/clips.md, FBX)",
     ".gltf": "motionkit writes binary glTF only: use .glb",
     ".usd": "motionkit writes USD as text: use .usda",
     ".usdc": "motionkit writes USD as text: use .usda",
@@ -41,7 +36,7 @@ INSTEAD: dict[str, str] = {
 
 def check_ending(path: str | Path) -> None:
     """Raise MotionkitError unless a file to write has an ending in WRITERS."""
-    _find(WRITERS, path, "written")
+    _find(path)
 
 
 def write_motion(path: str | Path, motion: Motion | Clip) -> None:
@@ -55,14 +50,14 @@ def write_motion(path: str | Path, motion: Motion | Clip) -> None:
         MotionkitError: the ending is unknown, the motion is not finite, or the file cannot be written.
         SkeletonError: a .vrma file for a rig that is not human.
     """
-    write = _find(WRITERS, path, "written")
+    write = _find(path)
     clip = motion if isinstance(motion, Clip) else Clip(motion, Path(path).stem)
     check_numbers(path, clip.motion)
     write(path, clip)
 
 
 def read_motion(path: str | Path) -> Motion:
-    """Read the motion of a .bvh file, in its own unit, or of a .glb or .vrm file, in cm.
+    """Read the motion of a file: in cm from a .glb or .vrm, else in its own unit.
 
     Raises:
         MotionkitError: the ending is unknown or the file cannot be read; the message names the file.
@@ -77,17 +72,21 @@ def read_clip(path: str | Path, name: str | None = None) -> Clip:
         path: the file.
         name: the animation of a .glb or .vrm; needed if it has several.
     """
-    clip: Clip = _find(READERS, path, "read")(path, name)
-    return clip
+    from motionkit.rig.read_file import GLTF_ENDINGS, READERS, is_gltf
+
+    if Path(path).suffix.lower() not in (*READERS, *GLTF_ENDINGS):
+        known = ", ".join((*READERS, *GLTF_ENDINGS))
+        raise MotionkitError(f"{path}: cannot be read: expected a name that ends in {known}")
+    return _read_character(path, name) if is_gltf(path) else _read_joints(path)
 
 
-def _find(table: dict[str, str], path: str | Path, done: str) -> Callable:
+def _find(path: str | Path) -> Callable:
     ending = Path(path).suffix.lower()
-    if ending not in table:
-        reason = INSTEAD.get(ending) if done == "written" else None
-        known = ", ".join(table)
-        raise MotionkitError(f"{path}: {reason or f'cannot be {done}: expected a name that ends in {known}'}")
-    module, _, name = table[ending].partition(":")
+    if ending not in WRITERS:
+        known = ", ".join(WRITERS)
+        reason = INSTEAD.get(ending) or f"cannot be written: expected a name that ends in {known}"
+        raise MotionkitError(f"{path}: {reason}")
+    module, _, name = WRITERS[ending].partition(":")
     found: Callable = getattr(import_module(f"motionkit.export.{module}"), name)
     return found
 
@@ -101,15 +100,16 @@ def _write_bvh(path: str | Path, clip: Clip) -> None:
         write_bvh(path, replace(motion_to_bvh(clip.motion, clip.channels), hierarchy=clip.hierarchy))
 
 
-def _read_bvh(path: str | Path, name: str | None = None) -> Clip:
-    from motionkit.motion.bvh import bvh_to_motion, read_bvh
+def _read_joints(path: str | Path) -> Clip:
+    from motionkit.motion.bvh import bvh_to_motion
+    from motionkit.rig.read_file import read_file
 
-    bvh = read_bvh(path)
+    bvh = read_file(path)
     clip = Clip(bvh_to_motion(bvh), Path(path).stem, channels=bvh.channels)
     return clip.with_motion(clip.motion)
 
 
-def _read_glb(path: str | Path, name: str | None = None) -> Clip:
+def _read_character(path: str | Path, name: str | None) -> Clip:
     from motionkit.rig.character import read_character
     from motionkit.rig.read_glb import CM, motion_of
 

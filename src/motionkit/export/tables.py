@@ -32,6 +32,8 @@ def write_npz(path: str | Path, clip: Clip) -> None:
         "joints": np.array(motion.skeleton.names),
         "parents": np.array(motion.skeleton.parents),
         "offsets": motion.skeleton.offsets,
+        "end_joints": np.array(list(motion.skeleton.end_sites), np.int64),
+        "end_offsets": np.array(list(motion.skeleton.end_sites.values()), np.float32).reshape(-1, 3),
         "local_rotations": motion.local_rotations,
         "root_positions": motion.root_positions,
         "rotations": rotations,

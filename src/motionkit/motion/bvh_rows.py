@@ -94,7 +94,7 @@ def read_rows(
         values = _parse_values(lines, rows, notes)
         places = [i + 1 for i in rows]
     if not notes.strict:
-        values = _filled(values, channels, notes)
+        values = filled(values, channels, notes)
     found = implausible_value(values)
     if found:
         raise BvhError(notes.path, found[1], places[found[0]])
@@ -145,7 +145,7 @@ def implausible_value(values: NDArray[np.float64]) -> tuple[int, str] | None:
     return row, f"value {column + 1} of frame {row} is {number:g}, expected {wanted}"
 
 
-def _filled(values: NDArray[np.float64], channels: list[str], notes: Notes) -> NDArray[np.float64]:
+def filled(values: NDArray[np.float64], channels: list[str], notes: Notes) -> NDArray[np.float64]:
     """The motion block with values that are no numbers filled between their neighbours in time.
 
     Angles take the shorter way round. A channel without any number becomes zero. Too many such values stay.

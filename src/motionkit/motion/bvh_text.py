@@ -87,7 +87,7 @@ def read_bvh_text(path: str | Path) -> BvhText:
     values = read_rows(lines, first_row, frames, [name for name, _ in columns], notes)
     if not len(values):
         values = np.array([[rest for _, rest in columns]])
-    _check_duration(path, len(values), frame_time, first_row)
+    check_duration(path, len(values), frame_time, first_row)
     tree = max(trees, key=lambda tree: len(tree.names))
     kept = [own is tree and name.lower() not in SCALES for own in trees for name, _ in own.columns]
     tell(path, notes.lines)
@@ -396,7 +396,7 @@ def _plain(line: str) -> str:
     return " ".join(line.split())
 
 
-def _check_duration(path: str | Path, frames: int, frame_time: float, line: int) -> None:
+def check_duration(path: str | Path, frames: int, frame_time: float, line: int | None) -> None:
     """Raise BvhError for a recording that would take far more memory at 60 fps than the file itself."""
     longest = longest_seconds(1.0 / frame_time)
     if frames * frame_time > longest * 1.001:  # the margin covers rounded frame times, such as 0.0166667

@@ -19,7 +19,8 @@ from motionkit.motion.skeleton import JOINT_COUNT, Skeleton
 from motionkit.rig.rig import Rig
 
 Floats = NDArray[np.float32]
-FORMATS = tuple(ending.removeprefix(".") for ending in WRITERS)
+# All but FBX, which another program writes in seconds.
+FORMATS = tuple(ending.removeprefix(".") for ending in WRITERS if ending != ".fbx")
 _GROWTH = 600  # frames, initial capacity of a recording
 
 

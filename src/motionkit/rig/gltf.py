@@ -16,6 +16,8 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write, parse_json, read_bytes
+from motionkit.rig.fbx import ENDING as FBX
+from motionkit.rig.fbx import glb_of_fbx
 
 MAGIC, JSON_CHUNK, BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125
@@ -111,9 +113,12 @@ class GltfFile:
     """A binary glTF file: its JSON and its arrays."""
 
     def __init__(self, path: str | Path) -> None:
-        """Read a file; raises MotionkitError, naming it, if it is not a binary glTF 2.0 file."""
+        """Read a file, or an FBX file as one; raises MotionkitError, naming it, if it is not a binary glTF 2.0 file."""
         self.path = path
-        data = read_bytes(path, MAX_BYTES, "a binary glTF file")
+        if Path(path).suffix.lower() == FBX:
+            data = glb_of_fbx(path)
+        else:
+            data = read_bytes(path, MAX_BYTES, "a binary glTF file")
         if len(data) < 20 or struct.unpack_from("<I", data)[0] != MAGIC:
             raise self.fault("is no binary glTF file (.glb)")
         if struct.unpack_from("<I", data, 4)[0] != 2:

@@ -34,14 +34,22 @@ def read_rig_map(path: str | Path, skeleton: Skeleton) -> RigMap:
         MotionkitError: the file is not a bone map, names a joint twice, or names one that the skeleton lacks.
         SkeletonError: the map does not describe a body: a limb is missing, or a shin is not below its thigh.
     """
-    places: dict[str, int] = {}
-    numbers = {name: number for number, name in enumerate(skeleton.names)}
+    for joint, _ in _pairs(path):
+        if joint not in skeleton.names:
+            raise MotionkitError(f"{path}: the rig has no joint {joint[:40]!r}{_near(joint, skeleton.names)}")
+    joints = read_joints(path)
+    try:
+        return given_map(
+            skeleton, {name: skeleton.index(joints[name]) for name in JOINT_NAMES if name in joints}
+        )
+    except SkeletonError as error:
+        raise SkeletonError(f"{path}: {error}") from None
+
+
+def read_joints(path: str | Path) -> dict[str, str]:
+    """The names of the canonical joints in a bone map; raises MotionkitError as read_rig_map."""
+    joints: dict[str, str] = {}
     for joint, canonical in _pairs(path):
-        name = "_".join(joint.split())  # read_bvh replaces spaces in names in the same way
-        if name not in numbers:
-            near = _near(name, skeleton.names)
-            raise MotionkitError(f"{path}: the rig has no joint {joint[:40]!r}{near}")
-        index = numbers[name]
         if canonical is None:
             continue
         if canonical not in JOINT_NAMES:
@@ -49,19 +57,16 @@ def read_rig_map(path: str | Path, skeleton: Skeleton) -> RigMap:
                 f"{path}: {joint} is mapped to {str(canonical)[:40]!r}, expected a canonical joint or null"
                 + _near(str(canonical), JOINT_NAMES)
             )
-        if canonical in places:
+        if canonical in joints:
             raise MotionkitError(
-                f"{path}: {canonical} is given to two joints, {skeleton.names[places[canonical]]} and {joint}"
+                f"{path}: {canonical} is given to two joints, {joints[canonical]} and {joint}"
             )
-        places[canonical] = index
-    try:
-        return given_map(skeleton, {name: places[name] for name in JOINT_NAMES if name in places})
-    except SkeletonError as error:
-        raise SkeletonError(f"{path}: {error}") from None
+        joints[canonical] = joint
+    return joints
 
 
 def _pairs(path: str | Path) -> list[tuple[str, Any]]:
-    """Joint names and their targets, in the order of the file."""
+    """Joint names, with spaces as read_bvh replaces them, and their targets, in the order of the file."""
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
@@ -78,7 +83,7 @@ def _pairs(path: str | Path) -> list[tuple[str, Any]]:
     joints = value.get("joints") if isinstance(value, dict) else None
     if not isinstance(joints, dict):
         raise MotionkitError(f'{path}: expected {{"joints": {{"joint of the rig": "canonical joint"}}}}')
-    return list(joints.items())
+    return [("_".join(joint.split()), canonical) for joint, canonical in joints.items()]
 
 
 def _near(word: str, words: tuple[str, ...]) -> str:

@@ -18,6 +18,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.reading import told_joints
 from motionkit.rig.shape import ShapeGuess, limbs_by_shape
 from motionkit.rig.sides import joint_sides
 
@@ -159,7 +160,16 @@ def map_rig(skeleton: Skeleton, poses: Array | None = None) -> RigMap:
     Raises:
         SkeletonError: it is not a human rig, or a limb is missing.
     """
-    return _Mapper(skeleton).map(poses)
+    told = told_places(skeleton)
+    return _Mapper(skeleton).map(poses) if told is None else given_map(skeleton, told)
+
+
+def told_places(skeleton: Skeleton) -> dict[str, int] | None:
+    """The canonical joints that the user gives, if the skeleton has all of their joints."""
+    joints = told_joints() or {}
+    if not joints or not set(joints.values()) <= set(skeleton.names):
+        return None
+    return {name: skeleton.index(joints[name]) for name in JOINT_NAMES if name in joints}
 
 
 def given_map(skeleton: Skeleton, places: dict[str, int]) -> RigMap:

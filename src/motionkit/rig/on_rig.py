@@ -20,14 +20,14 @@ from motionkit.rig.map_file import read_rig_map
 from motionkit.rig.pose import map_file
 from motionkit.rig.read_file import is_gltf, read_file
 from motionkit.rig.retarget import RetargetReport, retarget
-from motionkit.rig.rig import Rig, make_rig, read_bvh_rig, top_joint
+from motionkit.rig.rig import Rig, make_rig, read_joints_rig, top_joint
 from motionkit.rig.to_rig import rig_bvh
 
-NO_RIGS = (".vrma", ".gltf", ".fbx", ".usd", ".usda", ".usdc", ".usdz")  # known, but not read
+NO_RIGS = (".vrma", ".gltf", ".usd", ".usda", ".usdc", ".usdz")  # known, but not read
 
 
 def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
-    """Read a rig from a BVH, GLB or VRM file.
+    """Read a rig from any file that holds one (rig/read_file.py).
 
     Args:
         path: the file, or @NAME for a built-in rig. If the rest pose of a BVH file does not stand, one of its frames
@@ -40,9 +40,9 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
     path = rig_file(path)
     ending = path.suffix.lower()
     if ending in NO_RIGS:
-        raise SkeletonError(f"{path}: expected a rig, a .bvh, .glb or .vrm file, found {ending}")
+        raise SkeletonError(f"{path}: expected a rig, such as a .bvh, .glb or .vrm file, found {ending}")
     if not is_gltf(path):
-        return read_bvh_rig(path, map_path)
+        return read_joints_rig(path, map_path)
     found = read_character(path)
     joints = None if map_path is None else read_rig_map(map_path, found.skeleton)
     try:

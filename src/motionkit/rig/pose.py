@@ -15,7 +15,7 @@ from motionkit.motion.bvh import BvhFile, bvh_to_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_angle, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
-from motionkit.rig.names import RigMap, map_around, map_rig
+from motionkit.rig.names import RigMap, map_around, map_rig, told_places
 from motionkit.rig.rest_pose import (
     SIDES,
     SourceRig,
@@ -74,7 +74,7 @@ class RigPose:
 
 def map_file(bvh: BvhFile) -> RigMap:
     """Map the canonical joints of a file; raises SkeletonError if it is not a human rig."""
-    if bvh.humanoid:
+    if bvh.humanoid and told_places(bvh.skeleton) is None:
         return map_around(bvh.skeleton, bvh.humanoid, "VRM")
     few = replace(bvh, values=bvh.values[:: max(1, len(bvh.values) // _SAMPLES)])
     return map_rig(bvh.skeleton, motion_kinematics(bvh_to_motion(few))[1])
@@ -166,7 +166,7 @@ def _backwards(source: SourceRig) -> SkeletonError:
     left, right = _names(source, "Foot")
     return SkeletonError(
         f"the feet {left} and {right} point backwards: left and right are exchanged, or the rig is mirrored by a "
-        "negative scale"
+        "negative scale; a bone map that exchanges them reads it (--map)"
     )
 
 

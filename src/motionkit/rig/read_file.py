@@ -1,19 +1,35 @@
-"""Reads a file of motion, BVH or glTF, as a BvhFile: the one way in for all that works on any rig."""
+"""Reads a file of motion of any kind as a BvhFile: the one way in for all that works on any rig."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+from motionkit.errors import MotionkitError
+from motionkit.motion.acclaim import read_acclaim
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh
+from motionkit.motion.npz import has_motion, read_npz
+from motionkit.motion.skeleton import Skeleton
+from motionkit.reading import tell, told_joints
 from motionkit.rig.character import read_character
+from motionkit.rig.fbx import ENDING as FBX
 from motionkit.rig.read_glb import motion_of
 
-GLTF_ENDINGS = (".glb", ".vrm")
-ENDINGS = (".bvh", *GLTF_ENDINGS)  # of files that are looked for in folders
+# Ending -> function that takes the path of such a file and returns a BvhFile.
+READERS: dict[str, Callable[[str | Path], BvhFile]] = {
+    ".bvh": read_bvh,
+    ".amc": read_acclaim,
+    ".asf": read_acclaim,
+    ".npz": read_npz,
+}
+GLTF_ENDINGS = (".glb", ".vrm", FBX)  # characters, with any number of animations
+RIGS_ONLY = (".asf",)
+# Of files that are looked for in folders.
+ENDINGS = (*(ending for ending in READERS if ending not in RIGS_ONLY), *GLTF_ENDINGS)
 
 
 def read_file(path: str | Path, clip: str | None = None) -> BvhFile:
-    """Read the motion of a .glb or .vrm file, in metres, or of a BVH file with any other ending, in its own unit.
+    """Read the motion of a file, in its own unit: metres for .glb and .vrm; a file with an unknown ending is BVH.
 
     Args:
         path: the file.
@@ -22,12 +38,40 @@ def read_file(path: str | Path, clip: str | None = None) -> BvhFile:
     Raises:
         BvhError, MotionkitError: the file cannot be read, or has no such animation; the message names the file.
     """
-    if not is_gltf(path):
-        return read_bvh(path)
-    character = read_character(path)
-    return character.named(motion_to_bvh(motion_of(character, clip)[1]))
+    if is_gltf(path):
+        character = read_character(path)
+        found = character.named(motion_to_bvh(motion_of(character, clip)[1]))
+    else:
+        found = READERS.get(Path(path).suffix.lower(), read_bvh)(path)
+    _check_map(path, found.skeleton)
+    return found
+
+
+def _check_map(path: str | Path, skeleton: Skeleton) -> None:
+    """Raise MotionkitError for a file that has some joints of the user's bone map only; tell of one that has none."""
+    joints = set((told_joints() or {}).values())
+    lacking = sorted(joints - set(skeleton.names))
+    if lacking and len(lacking) < len(joints):
+        raise MotionkitError(f"{path}: has no joint {lacking[0][:40]!r}, which the bone map names")
+    if lacking:
+        tell(path, ("its joints found by name and shape, because the bone map names none of them",))
+
+
+def holds_motion(path: str | Path) -> bool:
+    """Whether a file of a folder is one to read: all but archives of other things."""
+    return Path(path).suffix.lower() != ".npz" or has_motion(path)
 
 
 def is_gltf(path: str | Path) -> bool:
-    """Whether a file's ending says that it is a .glb or .vrm."""
+    """Whether a file's ending says that it holds a character and its animations."""
     return Path(path).suffix.lower() in GLTF_ENDINGS
+
+
+def is_bvh(path: str | Path) -> bool:
+    """Whether a file is read as BVH, which has a text of its hierarchy and channels to keep."""
+    return not is_gltf(path) and READERS.get(Path(path).suffix.lower(), read_bvh) is read_bvh
+
+
+def told_endings() -> str:
+    """The endings of files that are looked for in folders, in words."""
+    return f"{', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}"

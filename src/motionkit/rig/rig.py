@@ -12,13 +12,14 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
-from motionkit.motion.bvh import BvhFile, read_bvh
+from motionkit.motion.bvh import BvhFile
 from motionkit.motion.bvh_text import read_hierarchy
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 from motionkit.rig.character import Character
 from motionkit.rig.map_file import read_rig_map
 from motionkit.rig.names import RigMap
 from motionkit.rig.pose import RigPose, map_file, median_offsets, pose_notes, study_rig
+from motionkit.rig.read_file import is_bvh, read_file
 from motionkit.rig.rest_pose import SIDES
 from motionkit.rig.units import check_leg
 
@@ -81,12 +82,13 @@ class Rig:
         return self.joints.places.get(name)
 
 
-def read_bvh_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
-    """Read the rig of a BVH file; arguments as for rig/on_rig.py's read_rig, which also reads other files."""
-    bvh = read_bvh(path)
+def read_joints_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
+    """Read a rig without a mesh; arguments as for rig/on_rig.py's read_rig, which also reads characters."""
+    bvh = read_file(path)
     joints = None if map_path is None else read_rig_map(map_path, bvh.skeleton)
+    hierarchy = read_hierarchy(path) if is_bvh(path) else None
     try:
-        return make_rig(bvh, Path(path).name, joints, read_hierarchy(path))
+        return make_rig(bvh, Path(path).name, joints, hierarchy)
     except SkeletonError as error:
         raise SkeletonError(f"{path}: {error}") from None
 

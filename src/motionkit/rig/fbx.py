@@ -1,0 +1,116 @@
+"""FBX files through a program that the user has, run as a process of its own: FBX2glTF, Blender, or its module bpy."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from motionkit.errors import MotionkitError
+from motionkit.files import check_regular, read_bytes
+from motionkit.names import visible
+from motionkit.reading import tell
+
+ENDING = ".fbx"
+SECONDS = 300.0  # after which a program is stopped
+WAYS = (
+    "needs FBX2glTF on the PATH (`npm install fbx2gltf` brings it), Blender on the PATH, or the Python module bpy "
+    "(`pip install bpy`)"
+)
+WAYS_TO_WRITE = "needs Blender on the PATH, or the Python module bpy (`pip install bpy`)"
+MAX_BYTES = 2**30
+_BLENDER = Path(__file__).with_name("in_blender.py")
+# Time modes of an FBX whose rate FBX2glTF can bake; others are baked at 60 frames a second.
+_TIME_MODE = re.compile(rb"TimeMode.{0,40}?I(.)\x00\x00\x00", re.DOTALL)
+_BAKED = {6: "bake30", 7: "bake30", 8: "bake30", 9: "bake30", 11: "bake24", 13: "bake24"}
+
+
+class _Way(NamedTuple):
+    """A program by its name, and what it is called with."""
+
+    name: str
+    command: tuple[str, ...]
+
+
+def glb_of_fbx(path: str | Path) -> bytes:
+    """The .glb that the user's program makes of an FBX file; a note says which program that was.
+
+    Raises:
+        MotionkitError: the file cannot be read, there is no such program, or it made nothing of it.
+    """
+    check_regular(path, MAX_BYTES, "an FBX file")
+    facts = Path(path).stat()
+    return _converted(str(Path(path).resolve()), str(path), facts.st_mtime_ns, facts.st_size)
+
+
+@lru_cache(maxsize=2)
+def _converted(place: str, told: str, changed: int, size: int) -> bytes:
+    data = read_bytes(place, MAX_BYTES, "an FBX file")
+    mode = _TIME_MODE.search(data)
+    bake = _BAKED.get(mode[1][0] if mode else 0, "bake60")
+    found = shutil.which("FBX2glTF")
+    ways = [_Way("FBX2glTF", (found, "--binary", "--anim-framerate", bake, "--input"))] if found else []
+    ways += _blenders()
+    if not ways:
+        raise MotionkitError(f"{told}: an FBX file {WAYS}")
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "made.glb"
+        for way in ways:
+            more = ("--output", str(made)) if way.name == "FBX2glTF" else (str(made),)
+            fault = _run(way, (place, *more), made)
+            if not fault:
+                tell(told, (way.name,))
+                return read_bytes(made, MAX_BYTES, "a binary glTF file")
+    raise MotionkitError(f"{told}: {fault}")
+
+
+def fbx_of_glb(path: str | Path, glb: Path, made: Path, fps: float) -> None:
+    """Let Blender make an FBX file of a .glb; path names it in errors.
+
+    Raises:
+        MotionkitError: there is no Blender, or it made nothing.
+    """
+    fault = WAYS_TO_WRITE
+    for way in _blenders():
+        fault = _run(way, (str(glb), str(made), repr(fps)), made)
+        if not fault:
+            return
+    raise MotionkitError(f"{path}: an FBX file {fault}" if fault == WAYS_TO_WRITE else f"{path}: {fault}")
+
+
+def _blenders() -> Iterator[_Way]:
+    found = shutil.which("blender")
+    if found:
+        yield _Way("Blender", (found, "--background", "--factory-startup", "--python", str(_BLENDER), "--"))
+    if importlib.util.find_spec("bpy") is not None:
+        yield _Way("bpy", (sys.executable, str(_BLENDER), "--"))
+
+
+def _run(way: _Way, more: tuple[str, ...], made: Path) -> str:
+    """Run a program in the folder of the file that it makes; returns what went wrong, "" if nothing did."""
+    try:
+        done = subprocess.run(
+            (*way.command, *more),
+            cwd=made.parent,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            timeout=SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"{way.name} did not finish within {SECONDS:g} s"
+    except OSError as error:
+        return f"{way.name} cannot be started ({error.strerror})"
+    if done.returncode == 0 and made.is_file() and made.stat().st_size:
+        return ""
+    lines = [line.strip() for line in done.stdout.decode("utf-8", "replace").splitlines() if line.strip()]
+    told = visible(lines[-1])[:200] if lines else f"exit code {done.returncode}"
+    return f"{way.name} made nothing of it ({told})"
