@@ -23,10 +23,11 @@ from motionkit.rig.sides import joint_sides
 from motionkit.rig.upright import CM, in_metres
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
-from motionkit.view.surface import SHADES
+from motionkit.view.surface import OWN
 
 QUATERNION_STEPS = 32767  # steps per unit of a quaternion; resolves a few thousandths of a degree
 POINT_STEPS = 10_000  # steps per metre of body points; 0.1 mm each
+NORMAL_STEPS = 127  # steps per unit of their normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +60,7 @@ def shown_motions(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[
 
 
 def pack(values: NDArray, kind: str) -> dict[str, Any]:
-    """Pack an array of any shape for the page; kind is "f4", or "i2", "u2" or "u1" for integers."""
+    """Pack an array of any shape for the page; kind is "f4", or "i2", "i1", "u2" or "u1" for integers."""
     array = np.asarray(values)
     if kind == "f4":
         raw = array.astype("<f4")
@@ -131,8 +132,9 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
             "triangles": pack(surface.triangles, "u2"),
             "joints": pack(surface.joints, "u2"),
             "weights": pack((surface.weights * 255).round(), "u1"),
-            "tints": pack((surface.tints * 255).round(), "u1"),
-            "shades": [[*color, share] for color, share in SHADES.values()],
+            "normals": pack((surface.normals() * NORMAL_STEPS).round(), "i1"),
+            "regions": pack(surface.regions, "u1"),
+            "shades": [[*color, share] for color, share in zip(surface.palette.tolist(), OWN, strict=True)],
         },
     }
 

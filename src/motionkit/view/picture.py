@@ -17,11 +17,10 @@ from motionkit.view.body import make_body
 from motionkit.view.contact_sheet import load_pillow
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
 from motionkit.view.figure_data import Shown
-from motionkit.view.flesh import COARSE_STEP
 from motionkit.view.framing import DISTANCE, SIDE_ANGLE, Camera, Framing, frame_at
 from motionkit.view.picture_labels import Labels
 from motionkit.view.raster import fill_triangles
-from motionkit.view.surface import Array, Surface, point_normals
+from motionkit.view.surface import Array, Surface
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -46,7 +45,7 @@ class Actor:
     def _parts(self) -> tuple[Any, ...]:
         motion = in_metres(self.shown.motion).motion
         figure = motion_figure(motion)
-        surface, pose = make_body(motion, figure, COARSE_STEP)
+        surface, pose = make_body(motion, figure)
         turns, places = motion_kinematics(motion)
         return surface, pose, quat_to_matrix(turns).astype(np.float64), places.astype(np.float64), figure
 
@@ -59,7 +58,7 @@ class Actor:
     def shades(self) -> Array:
         """The colour (F, 3) of each triangle in full light."""
         surface: Surface = self._parts[0]
-        return surface.colors(np.array(self.color, np.float64))[surface.triangles].mean(axis=1)
+        return surface.shades(np.array(self.color, np.float64))[surface.regions[surface.triangles[:, 0]]]
 
     def triangles(self, time: float) -> tuple[Array, Array]:
         """Corners (F, 3, 3) in the world at a time, with the floor at zero, and smoothed normals (F, 3)."""
@@ -69,7 +68,7 @@ class Actor:
         points[:, 1] -= 0.0 if figure.floor_is_zero else figure.floor
         corners = points[surface.triangles]
         # Normals are averaged from triangles to points and back.
-        return corners, point_normals(points, surface.triangles)[surface.triangles].mean(axis=1)
+        return corners, surface.normals(points)[surface.triangles].mean(axis=1)
 
 
 class Scenery:

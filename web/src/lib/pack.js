@@ -1,6 +1,6 @@
 // Reads arrays packed by figure_data.py: little-endian, deflated, base64.
 
-const KINDS = { f4: Float32Array, i2: Int16Array, u2: Uint16Array, u1: Uint8Array };
+const KINDS = { f4: Float32Array, i2: Int16Array, u2: Uint16Array, i1: Int8Array, u1: Uint8Array };
 
 /** The numbers of a packed field, row by row; `shape` gives the number of rows. */
 export async function unpack(field) {
