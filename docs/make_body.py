@@ -97,6 +97,14 @@ class Mesh:
             np.add.at(sums, self.triangles[:, corner], faces)
         return normalized(sums)
 
+    def smoother(self) -> Mesh:
+        """The mesh with skin weights that pass more gently from joint to joint."""
+        sums, counts = np.zeros_like(self.weights), np.zeros((len(self.points), 1))
+        for a, b in ((0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)):
+            np.add.at(sums, self.triangles[:, a], self.weights[self.triangles[:, b]])
+            np.add.at(counts, self.triangles[:, a], 1.0)
+        return replace(self, weights=(self.weights + sums / counts) / 2)
+
     def cut(self, values: Array) -> tuple[Mesh, Array]:
         """The mesh with triangles cut along the line where values (V,) are zero; and the values of its points."""
         values = np.where(np.abs(values) < 1e-4, 1e-9, values)
@@ -221,7 +229,7 @@ class Character:
         return Mesh(self.points, triangles, self.weights, regions).only(np.ones(len(triangles), bool))
 
     def clothes(self) -> Mesh:
-        mesh = self.mesh("helper-tights", "Shirt")
+        mesh = self.mesh("helper-tights", "Shirt").smoother().smoother()
         neck, hips = self.places["Neck"], self.places["Hips"]
         mesh = mesh.trimmed(self.collar(mesh.points))
         for side in SIDES:
@@ -299,6 +307,8 @@ def dressed(mesh: Mesh) -> Mesh:
     unique, numbers = np.unique(keys, return_inverse=True)
     own, region = unique % count, unique // count
     points = mesh.points[own] + thick[region][:, None] * normals[own]
+    soles = region == REGIONS.index("Shoes")
+    points[soles, 1] = np.maximum(points[soles, 1], 0.0)  # flat
     triangles = numbers.reshape(-1, 3)
     lookup = {key: n for n, key in enumerate(unique.tolist())}
     sides = {

@@ -53,7 +53,7 @@ def test_weights_pass_smoothly_from_joint_to_joint(body: tuple[Surface, BodyPose
     for joints, weights in zip(surface.joints.T, surface.weights.T, strict=True):
         whole[np.arange(len(whole)), joints] += weights
     steps = np.abs(whole[surface.triangles[:, 0]] - whole[surface.triangles[:, 1]]).sum(axis=1)
-    assert np.percentile(steps, 99) < 0.6
+    assert np.percentile(steps, 99) < 0.9
 
 
 def test_both_sides_are_alike(body: tuple[Surface, BodyPose]) -> None:

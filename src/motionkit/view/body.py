@@ -17,7 +17,6 @@ from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate, quat_to_matrix
-from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
 from motionkit.rig.names import RigMap, map_rig, name_part
 from motionkit.view.asset import BODIES, Asset, load_asset
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
@@ -26,13 +25,13 @@ from motionkit.view.surface import REGIONS, Array, Surface, unit
 SIDES = ("Left", "Right")
 INFLUENCES = 4  # most joints per point
 LONGEST = 20.0  # largest ratio of a bone to the same bone of a body of the same legs
-# Heights of ankle and ball of a standing foot as shares of the leg, unless a rest pose stands flat: then the ball is at
-# SOLE, and the ankle is higher by a drop within FLAT.
-ANKLE, BALL = (height / leg_length(canonical_skeleton()) for height in STANDING_HEIGHTS[:2])
-FLAT, SOLE = (0.042, 0.13), 0.024
+# As shares of the leg: the least drop from ankle to ball of a standing foot, to which those of CMU's rest poses are
+# raised, the largest and least at which the foot of a rest pose stands flat, and the least height of its ball.
+DROP, FLAT, BALL = 0.045, (0.015, 0.13), 0.024
 # Bones of limbs, each with the joint at its end.
 _BONES = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
 _FINGERS = {"Thumb": "thumb", "Index": "index", "Middle": "mid", "Ring": "ring", "Pinky": "pink|little"}
+_UPRIGHT = 0.96  # cosine of the angle to an axis of the world within which that axis is up
 _NO_FINGER = "end|nub|tip|site"
 _SPINE = ("Hips", "LowerBack", "Spine", "Spine1")
 _TRUNK = (*_SPINE, "Shoulder")
@@ -185,19 +184,28 @@ def _smooth(shares: Array) -> Array:
 
 
 class _Trunk:
-    """The axes of a standing body, in rows left, up, front, from its middle between the hips; its lengths in m."""
+    """The frame of a standing body: its axes, in rows left, up and front, its middle between the hips, lengths in m."""
 
     def __init__(self, at: dict[str, Array]) -> None:
         self.hips = (at["LeftUpLeg"] + at["RightUpLeg"]) / 2
         chest = (at["LeftArm"] + at["RightArm"]) / 2
-        self.height = float(np.linalg.norm(chest - self.hips))
-        up = unit(chest - self.hips, np.array([0.0, 1.0, 0.0]))
+        up = unit(self.hips - (at["LeftFoot"] + at["RightFoot"]) / 2, np.array([0.0, 1.0, 0.0]))
+        if np.abs(up).max() > _UPRIGHT:
+            up = up.round()
         across = at["LeftUpLeg"] - at["RightUpLeg"] + at["LeftArm"] - at["RightArm"]
-        front = unit(np.cross(across, up), np.array([0.0, 0.0, 1.0]))
-        self.axes = np.stack([np.cross(up, front), up, front])
+        left = unit(across - (across @ up) * up, np.eye(3)[0])
+        self.axes = np.stack([left, up, np.cross(left, up)])
+        # Trunks lean against their legs in some rigs; the torso is sheared along with them.
+        self.torso = np.stack([left, chest - self.hips, self.axes[2]])
+        self.height = float((chest - self.hips) @ up)
         self.widths = [float(np.linalg.norm(at[f"Left{p}"] - at[f"Right{p}"])) for p in ("UpLeg", "Arm")]
         ends = [(at[f"{side}UpLeg"], at[f"{side}Leg"], at[f"{side}Foot"]) for side in SIDES]
         self.leg = float(np.mean([np.linalg.norm(b - a) + np.linalg.norm(c - b) for a, b, c in ends]))
+
+    def inside(self, points: Array) -> Array:
+        """Points (N, 3) as m to the left, shares of the torso's height, and m to the front."""
+        shares: Array = (points - self.hips) @ np.linalg.inv(self.torso)
+        return shares
 
 
 class _Fitting:
@@ -210,11 +218,11 @@ class _Fitting:
             self.joints |= self._fingers(side, names)
         self.own = _Trunk(asset.places)
         self.trunk = _Trunk({name: self.at(name) for name in asset.places if self._known(name)})
-        if self.trunk.leg == 0.0 or self.trunk.height == 0.0:
+        if self.trunk.leg == 0.0 or self.trunk.height < 0.1 * self.trunk.leg:
             raise SkeletonError("legs or a trunk without length")
         self.size = self.trunk.leg / self.own.leg
         self.turn = self.trunk.axes.T @ self.own.axes  # from the asset's axes to the rig's
-        self.soles = {f"{side}Foot": self._heights(f"{side}Foot") for side in SIDES}
+        self.soles = {f"{side}Foot": self._sole(f"{side}Foot") for side in SIDES}
         arms = [self._path(0, self.joints[f"{side}Arm"]) for side in SIDES]
         chest = [joint for joint in arms[0] if joint in arms[1]]
         hips = rig.places["Hips"]
@@ -295,9 +303,8 @@ class _Fitting:
                 if toe not in self.joints:
                     continue
                 bone = self.at(toe) - here
-                ankle, ball = self.soles[name]
-                drop = np.clip((ankle - ball) / max(float(np.linalg.norm(bone)), 1e-9), 0.0, 0.85)
-                wish = np.sqrt(1.0 - drop**2) * self._heading(name) - drop * self.trunk.axes[1]
+                drop = np.clip(self.soles[name][1] / max(float(np.linalg.norm(bone)), 1e-9), 0.0, 0.85)
+                wish = [0.0, -drop, np.sqrt(1.0 - drop**2)] @ self._shoe(self.trunk, name)
             elif name.endswith("Hand") and len(knuckles := self._knuckles(name)) > 2:
                 bone = np.mean([self.at(knuckle) for knuckle in knuckles], axis=0) - here
                 wish = self.turn @ self._palm(name, knuckles)
@@ -316,20 +323,24 @@ class _Fitting:
         own: Array = np.mean([self.asset.places[knuckle] for knuckle in knuckles], axis=0)
         return own - self.asset.places[hand]
 
-    def _heading(self, foot: str) -> Array:
-        """The direction of a foot over the ground."""
+    def _shoe(self, trunk: _Trunk, foot: str) -> Array:
+        """The axes of a flat foot, in rows left, up and ahead, in the axes of the asset or of the rig."""
         way = self.asset.places[foot.replace("Foot", "ToeBase")] - self.asset.places[foot]
-        ahead: Array = self.turn @ unit(way * [1.0, 0.0, 1.0], np.array([0.0, 0.0, 1.0]))
-        return ahead
+        ahead = unit(way * [1.0, 0.0, 1.0], np.array([0.0, 0.0, 1.0]))
+        up = np.array([0.0, 1.0, 0.0])
+        axes: Array = np.stack([np.cross(up, ahead), up, ahead]) @ trunk.axes
+        return axes
 
-    def _heights(self, foot: str) -> tuple[float, float]:
-        """Heights of ankle and ball of the standing foot: as in a rest pose that stands flat, or the usual ones."""
+    def _sole(self, foot: str) -> tuple[float, float]:
+        """Height of the ankle of a standing foot, and its drop to the ball: as in a rest pose that stands flat."""
         leg, toe = self.trunk.leg, foot.replace("Foot", "ToeBase")
+        ankle = self.size * float(self.asset.places[foot][1])
         if foot in self.joints and toe in self.joints:
-            drop = float((self.at(foot) - self.at(toe)) @ self.trunk.axes[1]) / leg
-            if FLAT[0] < drop < FLAT[1]:
-                return (drop + SOLE) * leg, SOLE * leg
-        return ANKLE * leg, BALL * leg
+            drop = float((self.at(foot) - self.at(toe)) @ self.trunk.axes[1])
+            if FLAT[0] < drop / leg < FLAT[1]:
+                drop = max(drop, DROP * leg)
+                return max(ankle, drop + BALL * leg), drop
+        return ankle, ankle - self.size * float(self.asset.places[toe][1])
 
     def _placed(self, name: str, points: Array) -> Array:
         """Points (N, 3) of a joint's part of the asset, around the rig."""
@@ -363,15 +374,15 @@ class _Fitting:
     def _on_trunk(self, points: Array) -> Array:
         """As high as the rig's trunk, as wide as its hips and shoulders where they are plausible."""
         tall = self.trunk.height / self.own.height
-        inside = (points - self.own.hips) @ self.own.axes.T
+        inside = self.own.inside(points)
         low, high = (
             np.clip(mine / own, 0.8 * tall, 1.3 * tall)
             for mine, own in zip(self.trunk.widths, self.own.widths, strict=True)
         )
-        upper = np.clip((inside[:, 1] / self.own.height - 0.1) / 0.7, 0.0, 1.0)
-        deep = np.sqrt(tall * self.size)
-        scaled = inside * np.stack([low + upper * (high - low), 0 * upper + tall, 0 * upper + deep], axis=-1)
-        placed: Array = self.trunk.hips + scaled @ self.trunk.axes
+        upper = np.clip((inside[:, 1] - 0.1) / 0.7, 0.0, 1.0)
+        deep = float(np.sqrt(tall * self.size))
+        scales = np.stack([low + upper * (high - low), 0 * upper + 1.0, 0 * upper + deep], axis=-1)
+        placed: Array = self.trunk.hips + inside * scales @ self.trunk.torso
         return placed
 
     def _on_neck(self, points: Array) -> Array:
@@ -387,17 +398,17 @@ class _Fitting:
 
     def _in_shoe(self, foot: str, points: Array) -> Array:
         """A foot on the ground under the ankle, as long as the rig's up to the ball."""
-        toe, heading = foot.replace("Foot", "ToeBase"), self._heading(foot)
-        own = self.asset.places[foot]
-        tall = self.soles[foot][0] / own[1]
-        long = self.size
+        toe, own, axes = (
+            foot.replace("Foot", "ToeBase"),
+            self.asset.places[foot],
+            self._shoe(self.trunk, foot),
+        )
+        tall, long = self.soles[foot][0] / own[1], self.size
         if toe in self.joints:
-            mine = (self.at(toe) - self.at(foot)) @ heading
             length = np.linalg.norm((self.asset.places[toe] - own)[[0, 2]])
-            long = float(np.clip(mine / length, 0.75 * self.size, 1.35 * self.size))
-        up = self.trunk.axes[1]
-        axes = np.stack([np.cross(up, heading), up, heading])
-        inside = (points - own) @ (axes @ self.turn).T
+            ratio = (self.at(toe) - self.at(foot)) @ axes[2] / length
+            long = float(np.clip(ratio, 0.75 * self.size, 1.35 * self.size))
+        inside = (points - own) @ self._shoe(self.own, foot).T
         placed: Array = self.at(foot) + (inside * [self.size, tall, long]) @ axes
         return placed
 
@@ -405,15 +416,14 @@ class _Fitting:
         """Weights (V, J) of the rig's joints for points (V, 3) of the mesh."""
         out = np.zeros((len(points), len(self.pose.places)))
         weights = dict(zip(self.asset.names, self.asset.weights.T, strict=True))
-        up, height = self.trunk.axes[1], self.trunk.height
-        levels = [float((self.pose.places[j] - self.trunk.hips) @ up) / height for j in self.spine]
+        levels = self.trunk.inside(self.pose.places[self.spine])[:, 1].tolist()
         ends = [*levels[1:], 1.0]
         chain = []
         for n in range(1, len(self.spine)):  # each joint blends into the next around the middle of its bone
             start = max(levels[n], 0.06) if n == 1 else levels[n]
             chain.append((start, max(0.45 * (ends[n] - levels[n - 1]), 0.08), self.spine[n]))
         total = sum(weights[name] for name in _SPINE)
-        _add_chain(out, total, (points - self.trunk.hips) @ up / height, self.spine[0], chain)
+        _add_chain(out, total, self.trunk.inside(points)[:, 1], self.spine[0], chain)
         for name, weight in weights.items():
             owner = self._owner(name)
             if name in _SPINE:
