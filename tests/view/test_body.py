@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from motionkit.cli import outputs
+from motionkit.cli.main import cli
 from motionkit.errors import SkeletonError
+from motionkit.export.formats import write_motion
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -44,7 +49,7 @@ def test_an_asset_is_small_and_whole(body: tuple[Surface, BodyPose]) -> None:
     assert surface.joints.shape == surface.weights.shape == (len(surface.points), 4)
     np.testing.assert_allclose(surface.weights.sum(axis=1), 1.0, atol=1e-9)
     assert surface.weights.min() >= 0.0 and surface.joints.max() < len(pose.places)
-    np.testing.assert_allclose(np.linalg.norm(surface.normals(), axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1.0, atol=1e-6)
 
 
 def test_weights_pass_smoothly_from_joint_to_joint(body: tuple[Surface, BodyPose]) -> None:
@@ -151,3 +156,23 @@ def test_bones_without_length_are_refused() -> None:
     walk = make_walk(2)
     with pytest.raises(SkeletonError, match="all bones have length zero"):
         make_body(replace(walk, skeleton=walk.skeleton.scaled(0.0)))
+
+
+def test_the_command_line_offers_the_bodies_that_are_there() -> None:
+    """Their names are there twice, as the module that reads bodies is slow to import."""
+    assert outputs.BODIES == BODIES
+
+
+@pytest.mark.parametrize("ending", [".glb", ".usda", ".html"])
+def test_a_chosen_body_is_written(ending: str, tmp_path: Path) -> None:
+    write_motion(tmp_path / "walk.bvh", make_walk(4))
+    sizes = set()
+    for name in BODIES:
+        words = [str(tmp_path / "walk.bvh"), str(tmp_path / f"{name}{ending}"), "--body", name]
+        words = (
+            ["convert", *words] if ending != ".html" else ["view", "--no-open", words[0], "-o", *words[1:]]
+        )
+        result = CliRunner().invoke(cli, words)
+        assert result.exit_code == 0, result.output
+        sizes.add((tmp_path / f"{name}{ending}").stat().st_size)
+    assert len(sizes) == len(BODIES)

@@ -90,8 +90,8 @@ def test_nobody_walks_out_of_the_picture(directions: tuple[int, ...]) -> None:
             assert shirt(picture, color).sum() > 8, f"{color} is not there after {time} s"
         camera = scenery.framing.camera(time)
         for actor, place in zip(scenery.actors, scenery.framing.places, strict=True):
-            corners = camera.screen(actor.triangles(time)[0] + place)
-            low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+            corners = camera.screen(actor.body(time)[0] + place)
+            low, high = corners.min(axis=0), corners.max(axis=0)
             assert (low > 0.0).all() and (high[:2] < scenery.size).all()
 
 
@@ -100,8 +100,8 @@ def test_a_single_figure_stays_in_the_picture_too() -> None:
     leap.root_positions[:, 1] += 200.0 * np.sin(np.linspace(0.0, math.pi, 121, dtype=np.float32))
     scenery = Scenery([Shown("leap", leap)], 240, 180)
     for time in (0.0, 0.5, 1.0, 2.0):
-        corners = scenery.framing.camera(time).screen(scenery.actors[0].triangles(time)[0])
-        assert (corners > 0.0).all() and (corners[..., :2] < scenery.size).all()
+        corners = scenery.framing.camera(time).screen(scenery.actors[0].body(time)[0])
+        assert (corners > 0.0).all() and (corners[:, :2] < scenery.size).all()
 
 
 def test_several_figures_are_named() -> None:

@@ -20,7 +20,7 @@ from motionkit.cli.common import (
     print_json,
     say,
 )
-from motionkit.cli.outputs import default_output, naming
+from motionkit.cli.outputs import body_option, default_output, naming
 from motionkit.cli.showing import open_in_browser
 from motionkit.names import counted, visible
 
@@ -65,6 +65,7 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
     type=click.IntRange(160, 8000),
     help="Width in pixels: contact sheet 600 to 8000 (default 1800), GIF (480) or video (960) 160 to 3840.",
 )
+@body_option("pages, GIFs and videos")
 @animation_option
 @clip_options
 @json_option
@@ -73,6 +74,7 @@ def command(
     output: Path | None,
     path_file: Path | None,
     opens: bool,
+    body: str,
     as_json: bool,
     **sizes: Any,
 ) -> None:
@@ -98,7 +100,7 @@ def command(
     for clip, motion in zip(clips, motions, strict=True):
         with naming(clip):
             check_bones(motion)
-    shown = [Shown(visible(n), m, path=path) for n, m in zip(_names(clips), motions, strict=True)]
+    shown = [Shown(visible(n), m, path=path, body=body) for n, m in zip(_names(clips), motions, strict=True)]
     with Stages() as show:
         write_shown(target, shown, progress=lambda done, total: show("drawing", done, total), **sizes)
     if target.suffix.lower() == ".html" and opens and not as_json:
@@ -139,6 +141,7 @@ def _check_options(target: Path) -> None:
         ("every", "every", (".png",)),
         ("width", "width", (".png", ".gif", ".mp4")),
         ("path", "path_file", (".html",)),
+        ("body", "body", (".html", ".gif", ".mp4")),
     ):
         given = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
         if given and kind not in kinds:

@@ -90,7 +90,7 @@ def make_figure(motion: Motion, body: str = BODIES[0]) -> Figure:
     places = motion.skeleton.rest_positions()
     unturned = np.broadcast_to(np.eye(3), (len(rest), 3, 3))
     rest[0, 1] = -surface.posed(pose.matrices_from(unturned, places.astype(np.float64)))[:, 1].min()
-    normals = surface.normals()
+    normals = surface.normals
     flat = np.linalg.norm(normals, axis=-1, keepdims=True) < 0.5
     normals = np.where(flat, np.array([0.0, 1.0, 0.0]), normals)
     axes = bone_axes(motion.skeleton)

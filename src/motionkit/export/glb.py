@@ -25,12 +25,12 @@ from motionkit.rig.gltf import INDICES, VERTICES, GltfDocument
 
 
 def write_glb(path: str | Path, clip: Clip) -> None:
-    """Write a motion of any rig as a .glb file, atomically: into the file of its character, or with a mannequin."""
+    """Write a motion of any rig as a .glb file, atomically: into the file of its character, or with a body."""
     if clip.character is not None:
         _write_into(path, clip, clip.character)
         return
     document = GltfDocument()
-    figure = make_figure(clip.motion)
+    figure = make_figure(clip.motion, clip.body)
     joints = add_figure(document, figure, clip.name)
     rotations, translations = figure.locals()
     moving = {joint: translations[:, joint] for joint in figure.motion.moving_joints()}

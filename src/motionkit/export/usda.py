@@ -21,7 +21,7 @@ from motionkit.motion.skeleton import Skeleton
 
 def write_usda(path: str | Path, clip: Clip) -> None:
     """Write a motion of any rig as a .usda file, atomically."""
-    figure = make_figure(clip.motion)
+    figure = make_figure(clip.motion, clip.body)
     with atomic_write(path) as file:
         for line in _lines(figure, clip):
             file.write(line + "\n")

@@ -21,6 +21,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import matrix_to_quat
 from motionkit.rig.sides import joint_sides
 from motionkit.rig.upright import CM, in_metres
+from motionkit.view.asset import BODIES
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
 from motionkit.view.surface import OWN
@@ -39,12 +40,14 @@ class Shown:
         motion: in any unit, with Y or Z up.
         types: motion types and their seconds in sequence; empty if unknown.
         path: (N, 2) x, z of the requested path in cm, or None.
+        body: the one of BODIES that human rigs get.
     """
 
     name: str
     motion: Motion
     types: Sequence[tuple[str, float]] = ()
     path: Array | None = None
+    body: str = BODIES[0]
 
 
 def shown_motions(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[Shown]:
@@ -85,7 +88,7 @@ def figure_data(shown: Shown) -> dict[str, Any]:
         "scale": metres.scale,
         "unit": metres.note,
         "floor": 0.0 if figure.floor_is_zero else figure.floor,
-        **rig_data(motion, figure),
+        **rig_data(motion, figure, shown.body),
         "rotations": pack((motion.local_rotations.astype(np.float64) * QUATERNION_STEPS).round(), "i2"),
         "roots": pack(motion.root_positions, "f4"),
         "moving": _moving(motion),
@@ -103,17 +106,18 @@ def figure_data(shown: Shown) -> dict[str, Any]:
     }
 
 
-def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
+def rig_data(motion: Motion, figure: Figure | None = None, body: str = BODIES[0]) -> dict[str, Any]:
     """The page's data for a rig and its body.
 
     Args:
         motion: in metres with Y up.
         figure: its motion_figure, computed if None.
+        body: one of BODIES.
     """
     figure = figure or motion_figure(motion)
     skeleton = motion.skeleton
     bones = [joint for _, joint in figure.bones if joint < len(skeleton)]
-    surface, pose = make_body(motion, figure)
+    surface, pose = make_body(motion, figure, body)
     turns = matrix_to_quat(pose.rotations)
     return {
         "joints": list(skeleton.names),
@@ -132,7 +136,7 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
             "triangles": pack(surface.triangles, "u2"),
             "joints": pack(surface.joints, "u2"),
             "weights": pack((surface.weights * 255).round(), "u1"),
-            "normals": pack((surface.normals() * NORMAL_STEPS).round(), "i1"),
+            "normals": pack((surface.normals * NORMAL_STEPS).round(), "i1"),
             "regions": pack(surface.regions, "u1"),
             "shades": [[*color, share] for color, share in zip(surface.palette.tolist(), OWN, strict=True)],
         },

@@ -34,12 +34,19 @@ class Surface:
     regions: NDArray[np.int64]
     palette: Array
 
-    def posed(self, matrices: Array, points: Array | None = None) -> Array:
+    def posed(self, matrices: Array) -> Array:
         """The points (V, 3) after each joint j has moved by the affine matrices[j]; matrices (J, 3, 4)."""
-        rows = self.points if points is None else points
-        blended = np.einsum("vk,vkij->vij", self.weights, matrices[self.joints])
-        moved: Array = np.einsum("vij,vj->vi", blended[..., :3], rows) + blended[..., 3]
-        return moved
+        return self.moved(matrices, self.points)[0]
+
+    def moved(self, matrices: Array, normals: Array) -> tuple[Array, Array]:
+        """The points (V, 3) and normals (V, 3) after each joint j has moved by the affine matrices[j]."""
+        whole = np.zeros((len(self.points), len(matrices)))
+        for joints, weights in zip(self.joints.T, self.weights.T, strict=True):
+            whole[np.arange(len(whole)), joints] += weights
+        blended = (whole @ matrices.reshape(len(matrices), 12)).reshape(-1, 3, 4)
+        turns = blended[..., :3]
+        points: Array = np.einsum("vij,vj->vi", turns, self.points) + blended[..., 3]
+        return points, np.einsum("vij,vj->vi", turns, normals)
 
     def shades(self, color: Array) -> Array:
         """Colours (R, 3) of the regions for a figure's colour (3,), in the same scale (0 to 255)."""
@@ -48,21 +55,14 @@ class Surface:
         return shades
 
     @cached_property
-    def _places(self) -> NDArray[np.int64]:
-        """For each point (V,) a number that it shares with points at the same place, as at borders of regions."""
-        numbers = np.unique(self.points.round(6), axis=0, return_inverse=True)[1]
-        return numbers.reshape(-1)
-
-    def normals(self, points: Array | None = None) -> Array:
-        """Unit normals (V, 3), means over the triangles around each place; of moved points (V, 3), if given."""
-        corners = (self.points if points is None else points)[self.triangles]
+    def normals(self) -> Array:
+        """Unit normals (V, 3), means over the triangles around each place; borders of regions share their places."""
+        corners = self.points[self.triangles]
         flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        at = self._places[self.triangles].ravel()
-        sums: Array = np.stack(
-            [np.bincount(at, np.repeat(n, 3), at.max() + 1) for n in flat.T], axis=-1
-        ).astype(np.float64)
-        sums /= np.maximum(np.linalg.norm(sums, axis=-1, keepdims=True), 1e-12)
-        normals: Array = sums[self._places]
+        place = np.unique(self.points.round(6), axis=0, return_inverse=True)[1].reshape(-1)
+        at = place[self.triangles].ravel()
+        sums = np.stack([np.bincount(at, np.repeat(n, 3), place.max() + 1) for n in flat.T], axis=-1)
+        normals: Array = (sums / np.maximum(np.linalg.norm(sums, axis=-1, keepdims=True), 1e-12))[place]
         return normals
 
 
