@@ -97,13 +97,15 @@ class Mesh:
             np.add.at(sums, self.triangles[:, corner], faces)
         return normalized(sums)
 
-    def smoother(self) -> Mesh:
-        """The mesh with skin weights that pass more gently from joint to joint."""
-        sums, counts = np.zeros_like(self.weights), np.zeros((len(self.points), 1))
-        for a, b in ((0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)):
-            np.add.at(sums, self.triangles[:, a], self.weights[self.triangles[:, b]])
-            np.add.at(counts, self.triangles[:, a], 1.0)
-        return replace(self, weights=(self.weights + sums / counts) / 2)
+    def smoothed(self, rows: Array, times: int) -> Array:
+        """Rows (V, C), several times averaged over neighbouring points."""
+        for _ in range(times):
+            sums, counts = np.zeros_like(rows), np.zeros((len(rows), 1))
+            for a, b in ((0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)):
+                np.add.at(sums, self.triangles[:, a], rows[self.triangles[:, b]])
+                np.add.at(counts, self.triangles[:, a], 1.0)
+            rows = (rows + sums / counts) / 2
+        return rows
 
     def cut(self, values: Array) -> tuple[Mesh, Array]:
         """The mesh with triangles cut along the line where values (V,) are zero; and the values of its points."""
@@ -229,7 +231,14 @@ class Character:
         return Mesh(self.points, triangles, self.weights, regions).only(np.ones(len(triangles), bool))
 
     def clothes(self) -> Mesh:
-        mesh = self.mesh("helper-tights", "Shirt").smoother().smoother()
+        mesh = self.mesh("helper-tights", "Shirt")
+        mesh = replace(mesh, weights=mesh.smoothed(mesh.weights, 2))
+        x, y, z = (mesh.points - self.places["Hips"] - [0.0, 0.03, 0.0]).T
+        seat = np.clip(2.0 - np.hypot(x / 0.06, y / 0.09), 0.0, 1.0) * (
+            z < 0.0
+        )  # cloth does not follow the skin
+        shift = mesh.smoothed(mesh.points, 9) - mesh.points
+        mesh = replace(mesh, points=mesh.points + seat[:, None] * shift)
         neck, hips = self.places["Neck"], self.places["Hips"]
         mesh = mesh.trimmed(self.collar(mesh.points))
         for side in SIDES:
@@ -248,7 +257,7 @@ class Character:
         """How far points are below the collar, m."""
         neck = self.places["Neck"]
         below = neck[1] - 0.012 - points[:, 1] - 0.5 * (points[:, 2] - neck[2] - 0.02)
-        return np.maximum(below, np.abs(points[:, 0]) - 0.085)
+        return below + 0.06 * (points[:, 0] / 0.085) ** 4  # shoulders are covered
 
     def head(self, hair: tuple, thick: float) -> Mesh:
         whole = self.mesh("body", "Skin")
@@ -269,7 +278,9 @@ class Character:
         mesh = mesh.region("Hair", over[mesh.triangles].mean(1) > 0.0)
         grow = np.clip(over / 0.03, 0.0, 1.0)
         shift = np.where(over > 0.0, 0.002 + thick * grow * grow * (3 - 2 * grow), 0.0)
-        shift -= 0.01 * np.clip(self.collar(mesh.points) / 0.02, 0.0, 1.0)  # no skin comes through the shirt
+        shift -= 0.01 * np.clip(
+            (self.collar(mesh.points) - 0.006) / 0.02, 0.0, 1.0
+        )  # no skin comes through the shirt
         return replace(mesh, points=mesh.points + shift[:, None] * mesh.normals())
 
     def hand(self) -> Mesh:
