@@ -120,6 +120,16 @@ def test_fingers_follow_their_joints(name: str) -> None:
     assert len(fingers) >= 6 and set(fingers) <= set(surface.joints[surface.weights > 0.5].tolist())
 
 
+def test_a_rest_pose_with_z_up_gives_a_standing_body() -> None:
+    rig = built_in("mixamo")
+    laid = rig.skeleton.offsets[:, [0, 2, 1]] * np.array([1, -1, 1], np.float32)
+    other = replace(rig, skeleton=replace(rig.skeleton, offsets=laid, end_sites={}))
+    standing = make_body(replace(rig, skeleton=replace(rig.skeleton, end_sites={})))[0]
+    surface, _ = make_body(other)
+    assert np.ptp(surface.points, axis=0) == pytest.approx(np.ptp(standing.points, axis=0), abs=2e-3)
+    assert surface.points[:, 1].min() == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_body_faces_where_the_rig_does() -> None:
     """A rest pose that is turned about the vertical gives the turned body."""
     rig, quarter = built_in("mixamo"), quat_from_yaw(np.array(np.pi / 2, np.float32))

@@ -237,6 +237,9 @@ class _Fitting:
             some = np.flatnonzero(asset.weights[:, n])
             made[some] += asset.weights[some, n, None] * self._placed(name, asset.points[some])
         joints, weights = _strongest(self._skin(made))
+        upright = _between(self.trunk.axes[1], np.array([0.0, 1.0, 0.0]))  # rest poses may have Z up
+        made = self.pose.places[0] + (made - self.pose.places[0]) @ upright.T
+        self.pose.turn(0, upright)
         return Surface(made, asset.triangles, joints, weights, asset.regions, asset.palette), self.pose
 
     def at(self, name: str) -> Array:
