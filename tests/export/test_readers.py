@@ -220,7 +220,9 @@ def test_a_vrm_animation_moves_an_avatar_of_another_size(
     for seconds in (0.0, SECONDS, 1.25):
         places = np.array(page.evaluate("([time, names]) => checks.places(time, names)", [seconds, bones]))
         wanted = truth[round(seconds * 60)]
-        assert np.abs(places - wanted).max() < 0.02, seconds
+        assert np.abs((places - places[0]) - (wanted - wanted[0])).max() < 0.02, seconds
+        share = places[0, 1] / wanted[0, 1]  # its soles give the height of its hips, by which it travels
+        assert 0.95 < share < 1.05 and places[0] == pytest.approx(share * wanted[0], abs=0.01)
 
 
 # ---- Blender ----
@@ -308,7 +310,7 @@ def test_the_blender_add_on_works_in_the_armatures_own_space(
         assert len(heads) == 60 and again == pytest.approx(heads, abs=1e-5)
         assert heads[0, 0, :2] == pytest.approx(rest[0, :2], abs=1e-4)  # the hips, where they were
         assert heads[-1, 0, 1] - heads[0, 0, 1] < -2.0 and np.abs(heads[:, 0, 0]).max() < 0.2  # ahead
-        assert 0.02 < heads[:, 1:3, 2].min() < 0.04  # joints of toes, m
+        assert 0.02 < heads[:, 1:3, 2].min() < 0.05  # joints of toes, m
     truth = subprocess.run(
         [
             command,

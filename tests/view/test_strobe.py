@@ -41,8 +41,8 @@ def test_poses_along_a_path_with_track_and_path() -> None:
 def test_without_a_path_poses_stand_in_a_row() -> None:
     scene = StrobePicture(shown(None), poses=5, width=800, height=320)
     hips = [
-        corners.mean(axis=(0, 1))
-        for corners, _ in (a.triangles(float(t)) for a, t in zip(scene.actors, scene.times, strict=True))
+        points.mean(axis=0)
+        for points, _ in (a.body(float(t)) for a, t in zip(scene.actors, scene.times, strict=True))
     ]
     across = scene.camera.screen(np.stack(hips) + scene.places)
     assert (np.diff(across[:, 0]) > 50).all()

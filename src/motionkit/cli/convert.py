@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -9,7 +10,7 @@ import click
 from motionkit.cli.common import PLACE, animations_option, clip_options, gathered, json_option
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import Wanted, animation_options, naming
+from motionkit.cli.outputs import Wanted, animation_options, body_option, naming
 from motionkit.cli.rig_options import RootMotion, root_options
 
 
@@ -21,6 +22,7 @@ from motionkit.cli.rig_options import RootMotion, root_options
 @root_options
 @animations_option
 @animation_options
+@body_option(".glb and .usda")
 @json_option
 @folders("source", "target")
 @gathered("root_motion", RootMotion)
@@ -31,6 +33,7 @@ def command(
     root_motion: RootMotion,
     name: str | None,
     alone: bool,
+    body: str,
     as_json: bool,
 ) -> None:
     """Convert a motion file; the endings of SOURCE and TARGET name the formats.
@@ -51,7 +54,7 @@ def command(
         motion = clip.motion if fps is None else resample(clip.motion, fps)
         with naming(source):
             motion = root_motion.applied(motion)
-            outputs.write(clip.with_motion(motion))
+            outputs.write(replace(clip.with_motion(motion), body=body))
         joints, frames, took = len(motion.skeleton), len(motion), taken(clip.motion)
         facts = {
             "file": source,

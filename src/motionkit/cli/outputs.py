@@ -40,6 +40,15 @@ STDOUT = Path("-")
 view_option = click.option(
     "--view", is_flag=True, help="Also write a web page that plays the motion, and open it."
 )
+BODIES = ("adult", "woman", "heavy")  # as in view.asset, which is slow to import
+
+
+def body_option(where: str) -> Callable:
+    """The --body option of commands that write a body."""
+    text = f"Body that human rigs get in {where}; {BODIES[0]} by default."
+    return click.option("--body", type=click.Choice(BODIES), default=BODIES[0], help=text)
+
+
 animation_options = together(
     click.option(
         "--name", help="Name of the animation in a .glb or .vrm; by default from the types or the clip."

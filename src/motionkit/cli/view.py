@@ -22,7 +22,7 @@ from motionkit.cli.common import (
     print_json,
     say,
 )
-from motionkit.cli.outputs import default_output, naming
+from motionkit.cli.outputs import body_option, default_output, naming
 from motionkit.cli.rig_options import RIG_FILE, RigChoice, open_rig
 from motionkit.cli.showing import open_in_browser
 from motionkit.names import counted, visible
@@ -80,6 +80,7 @@ def _open_rig(rig_path: Path | None) -> RigChoice:
     type=click.IntRange(160, 8000),
     help="Width in pixels: contact sheet 600 to 8000 (default 1800), GIF (480) or video (960) 160 to 3840.",
 )
+@body_option("pages, GIFs and videos")
 @animation_option
 @clip_options
 @json_option
@@ -89,6 +90,7 @@ def command(
     output: Path | None,
     path_file: Path | None,
     opens: bool,
+    body: str,
     as_json: bool,
     choice: RigChoice,
     **sizes: Any,
@@ -110,7 +112,7 @@ def command(
 
         path = read_path(path_file).points
     shown = [_shown(clip, visible(name), choice.rig) for clip, name in zip(clips, _names(clips), strict=True)]
-    shown = [replace(one, path=path) for one in shown]
+    shown = [replace(one, path=path, body=body) for one in shown]
     with Stages() as show:
         write_shown(target, shown, progress=lambda done, total: show("drawing", done, total), **sizes)
     if target.suffix.lower() == ".html" and opens and not as_json:
@@ -170,6 +172,7 @@ def _check_options(target: Path) -> None:
         ("every", "every", (".png",)),
         ("width", "width", (".png", ".gif", ".mp4")),
         ("path", "path_file", (".html",)),
+        ("body", "body", (".html", ".gif", ".mp4")),
     ):
         given = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
         if given and kind not in kinds:

@@ -11,6 +11,7 @@ from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.rig.character import Character
 from motionkit.rig.rig import Rig
+from motionkit.view.asset import BODIES
 
 LARGEST = 1e7  # largest length in a file, in metres or centimetres
 
@@ -26,7 +27,8 @@ class Clip:
         channels: channels of each joint in the source BVH file, kept when writing BVH; None for the default.
         hierarchy: text of the source file's hierarchy section, likewise; None to make one from the skeleton.
         character: the .glb or .vrm file whose joints the motion is on; .glb and .vrm files are that file with the
-            motion added. None to show the motion on a mannequin.
+            motion added. None to show the motion on a body of motionkit.
+        body: the one of BODIES that human rigs get then.
         alone: leave out the animations that the character's file has.
     """
 
@@ -36,6 +38,7 @@ class Clip:
     channels: tuple[tuple[str, ...], ...] | None = None
     hierarchy: str | None = None
     character: Character | None = None
+    body: str = BODIES[0]
     alone: bool = False
 
     def with_motion(self, motion: Motion) -> Clip:

@@ -115,5 +115,5 @@ def _read_character(path: str | Path, name: str | None) -> Clip:
 
     character = read_character(path)
     called, motion = motion_of(character, name)
-    # The mannequin of our own files is made anew, for any joints.
+    # The body of our own files is made anew, for any joints.
     return Clip(motion.scaled(CM), called, character=None if character.tree.file.own() else character)

@@ -17,22 +17,24 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.export.clip import Clip
-from motionkit.export.figure import Figure, joint_translations, make_figure, materials, skin_weights
-from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_continuous, quat_normalize
+from motionkit.export.figure import Figure, make_figure, materials, skin_weights
+from motionkit.motion.rotations import quat_inverse, quat_rotate
+from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.character import Character
 from motionkit.rig.gltf import INDICES, VERTICES, GltfDocument
 
 
 def write_glb(path: str | Path, clip: Clip) -> None:
-    """Write a motion of any rig as a .glb file, atomically: into the file of its character, or with a mannequin."""
+    """Write a motion of any rig as a .glb file, atomically: into the file of its character, or with a body."""
     if clip.character is not None:
         _write_into(path, clip, clip.character)
         return
     document = GltfDocument()
-    figure = make_figure(clip.motion)
+    figure = make_figure(clip.motion, clip.body)
     joints = add_figure(document, figure, clip.name)
-    add_animation(document, clip, figure.motion, joints)
+    rotations, translations = figure.locals()
+    moving = {joint: translations[:, joint] for joint in figure.motion.moving_joints()}
+    add_animation(document, clip, joints, rotations, moving)
     document.write(path)
 
 
@@ -72,33 +74,49 @@ def _write_into(path: str | Path, clip: Clip, character: Character) -> None:
 
 def add_figure(document: GltfDocument, figure: Figure, name: str) -> list[int]:
     """Add a scene with the skinned joints and the body; returns the joints' nodes."""
-    joints = add_joints(document, figure.motion, figure.rest)
+    rotations, translations = figure.rest_locals()
+    joints = add_joints(document, figure.motion.skeleton, translations, rotations, figure.axes)
     skin = _add_skin(document, figure, joints)
     body = document.add("nodes", {"name": "Body", "mesh": _add_mesh(document, figure), "skin": skin})
     document.json |= {"scenes": [{"name": name, "nodes": [joints[0], body]}], "scene": 0}
     return joints
 
 
-def add_joints(document: GltfDocument, motion: Motion, rest: Array) -> list[int]:
-    """Add a node for each joint with its local translation (J, 3) in the rest pose; returns their indices."""
-    skeleton = motion.skeleton
+def add_joints(
+    document: GltfDocument,
+    skeleton: Skeleton,
+    translations: Array,
+    rotations: Array | None = None,
+    axes: Array | None = None,
+) -> list[int]:
+    """Add a node for each joint; returns their indices.
+
+    Args:
+        translations: (J, 3) of the rest pose, relative to the parents.
+        rotations: (J, 4) likewise, none by default.
+        axes: (J, 4) rotations from the joints' axes to those in which the skeleton has its ends, none by default.
+    """
     first = len(document.json.get("nodes", []))
     for joint, name in enumerate(skeleton.names):
-        node: dict[str, Any] = {"name": name, "translation": _numbers(rest[joint])}
+        node: dict[str, Any] = {"name": name, "translation": _numbers(translations[joint])}
+        if rotations is not None:
+            node["rotation"] = _numbers(_xyzw(rotations[joint]))
         if children := skeleton.children(joint):
             node["children"] = [first + child for child in children]
         if joint in skeleton.end_sites:
-            node["extras"] = {"end_site": _numbers(np.array(skeleton.end_sites[joint]))}
+            end = np.array(skeleton.end_sites[joint])
+            end = end if axes is None else quat_rotate(quat_inverse(axes[joint]), end)
+            node["extras"] = {"end_site": _numbers(end)}
         document.add("nodes", node)
     return [first + joint for joint in range(len(skeleton))]
 
 
-def add_animation(document: GltfDocument, clip: Clip, motion: Motion, joints: list[int]) -> None:
-    """Add the animation of a motion in metres: rotations of all joints, translations of joints that move."""
-    rotations = _xyzw(quat_continuous(quat_normalize(motion.local_rotations.astype(np.float64))))
-    translations = joint_translations(motion)
-    tracks = [(joints[j], "translation", translations[:, j]) for j in motion.moving_joints()]
-    tracks += [(node, "rotation", rotations[:, joint]) for joint, node in enumerate(joints)]
+def add_animation(
+    document: GltfDocument, clip: Clip, joints: list[int], rotations: Array, moving: dict[int, Array]
+) -> None:
+    """Add the animation of a clip: local rotations (T, J, 4), and translations (T, 3), in m, of joints that move."""
+    tracks = [(joints[j], "translation", values) for j, values in moving.items()]
+    tracks += [(node, "rotation", _xyzw(rotations[:, joint])) for joint, node in enumerate(joints)]
     add_tracks(document, clip, tracks)
 
 

@@ -13,15 +13,15 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.export.clip import Clip
-from motionkit.export.figure import Figure, joint_translations, make_figure, materials, skin_weights
+from motionkit.export.figure import Figure, make_figure, materials, skin_weights
 from motionkit.files import atomic_write
-from motionkit.motion.rotations import quat_continuous, quat_normalize
+from motionkit.motion.rotations import quat_to_matrix
 from motionkit.motion.skeleton import Skeleton
 
 
 def write_usda(path: str | Path, clip: Clip) -> None:
     """Write a motion of any rig as a .usda file, atomically."""
-    figure = make_figure(clip.motion)
+    figure = make_figure(clip.motion, clip.body)
     with atomic_write(path) as file:
         for line in _lines(figure, clip):
             file.write(line + "\n")
@@ -47,7 +47,8 @@ def _lines(figure: Figure, clip: Clip) -> Iterable[str]:
     paths = joint_paths(motion.skeleton)
     joints = "[" + ", ".join(f'"{path}"' for path in paths) + "]"
     rest = np.tile(np.eye(4), (len(paths), 1, 1))
-    rest[:, :3, 3] = figure.rest
+    turns, rest[:, :3, 3] = figure.rest_locals()
+    rest[:, :3, :3] = quat_to_matrix(turns)
     yield from (
         "#usda 1.0", "(", '    defaultPrim = "Motion"', "    metersPerUnit = 1", '    upAxis = "Y"',
         "    startTimeCode = 0", f"    endTimeCode = {len(motion) - 1}", f"    timeCodesPerSecond = {motion.fps:.9g}",
@@ -55,15 +56,15 @@ def _lines(figure: Figure, clip: Clip) -> Iterable[str]:
         '    prepend apiSchemas = ["SkelBindingAPI"]', ")", "{",
         '    def Skeleton "Skeleton" (', '        prepend apiSchemas = ["SkelBindingAPI"]', "    )", "    {",
         f"        uniform token[] joints = {joints}",
-        f"        uniform matrix4d[] bindTransforms = {_matrix_list(np.linalg.inv(figure.inverse_binds))}",
+        f"        uniform matrix4d[] bindTransforms = {_matrix_list(figure.binds)}",
         f"        uniform matrix4d[] restTransforms = {_matrix_list(rest)}",
         "        rel skel:animationSource = </Motion/Skeleton/Animation>", "",
         '        def SkelAnimation "Animation"', "        {",
         f"            uniform token[] joints = {joints}",
     )  # fmt: skip
-    rotations = quat_continuous(quat_normalize(motion.local_rotations.astype(np.float64)))
+    rotations, translations = figure.locals()
     ones = np.ones((len(motion), len(paths), 3))
-    yield from _samples("float3[] translations", joint_translations(motion))
+    yield from _samples("float3[] translations", translations)
     yield from _samples("quatf[] rotations", rotations)
     yield from _samples("half3[] scales", ones)
     yield from ("        }", "    }", "")

@@ -61,7 +61,7 @@ def write_vrma(path: str | Path, clip: Clip) -> None:
     document = GltfDocument()
     rest = motion.skeleton.offsets.copy()
     rest[0, 1] = hips_height(motion.skeleton)
-    joints = add_joints(document, motion, rest)
+    joints = add_joints(document, motion.skeleton, rest)
     bones = {BONES[name]: {"node": joints[i]} for i, name in enumerate(motion.skeleton.names)}
     document.json |= {
         "extensionsUsed": [EXTENSION],
@@ -69,7 +69,8 @@ def write_vrma(path: str | Path, clip: Clip) -> None:
         "scenes": [{"name": clip.name, "nodes": [joints[0]]}],
         "scene": 0,
     }
-    add_animation(document, clip, motion, joints)
+    rotations = quat_continuous(quat_normalize(motion.local_rotations.astype(np.float64)))
+    add_animation(document, clip, joints, rotations, {0: motion.root_positions})
     document.write(path)
 
 

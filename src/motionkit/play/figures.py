@@ -12,6 +12,7 @@ import numpy as np
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import Skeleton
+from motionkit.view.asset import BODIES
 from motionkit.view.figure_data import CM, rig_data
 
 WAIT_SECONDS = 3.0  # wait for a mesh; connections must be answered within ten seconds
@@ -21,7 +22,7 @@ def standing_rig(skeleton: Skeleton, hero: dict[str, Any] | None = None) -> dict
     """The rig and mesh of a body (in cm) in its rest pose, for the page; hero is a user's character in its place."""
     turns = quat_identity((1, len(skeleton)))
     motion = Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0)
-    return rig_data(motion.scaled(CM), with_body=hero is None) | {"hero": hero}
+    return rig_data(motion.scaled(CM), body=None if hero else BODIES[0]) | {"hero": hero}
 
 
 class Figures:

@@ -1,15 +1,14 @@
-"""A body mesh for any skeleton: human shapes for human rigs, tapered bones for others.
+"""A body mesh for any skeleton: one of motionkit's bodies for human rigs, tapered bones for others.
 
-Default sizes belong to the canonical skeleton, whose legs (thigh plus shin) are 0.834 m long; they scale with the rig's
-leg length. Lengths and widths given by the rig take precedence.
+The body's parts are scaled to the rig's bones: along a limb by its length, across it by the size of the whole. Then
+skin weights pass from the body's joints to those of the rig, which may have more joints along a bone, or fewer.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,47 +18,24 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate, quat_to_matrix
 from motionkit.rig.names import RigMap, map_rig, name_part
+from motionkit.view.asset import BODIES, Asset, load_asset
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
-from motionkit.view.flesh import STEP, Chain, Piece, skin
-from motionkit.view.surface import TINTS, Array, Surface, SurfaceBuilder, cross_axes, joined, unit
+from motionkit.view.surface import REGIONS, Array, Surface, unit
 
-LEG = 0.834  # m, leg length for the profiles below
-ANKLE, BALL = 0.095, 0.022  # m, joint heights of a standing foot
 SIDES = ("Left", "Right")
-MOST_KEPT = 16  # bodies in the cache
-Profile = tuple[tuple[float, ...], ...]
-
-# Share of the length, half width, half depth, forward shift; m.
-_THIGH = ((0.0, 0.082, 0.088, 0.0), (0.2, 0.080, 0.087, 0.004), (0.55, 0.064, 0.069, 0.006),
-          (0.85, 0.050, 0.053, 0.004), (1.0, 0.047, 0.050, 0.004))  # fmt: skip
-_SHIN = ((0.0, 0.046, 0.049, 0.002), (0.15, 0.048, 0.052, -0.008), (0.32, 0.050, 0.055, -0.014),
-         (0.6, 0.040, 0.042, -0.008), (0.9, 0.031, 0.034, -0.003), (1.0, 0.032, 0.036, -0.003))  # fmt: skip
-_UPPER_ARM = ((0.0, 0.050, 0.053, 0.0), (0.25, 0.046, 0.050, 0.0), (0.6, 0.039, 0.042, 0.0),
-              (1.0, 0.034, 0.035, 0.0))  # fmt: skip
-_FOREARM = ((0.0, 0.033, 0.034, 0.0), (0.2, 0.037, 0.039, 0.0), (0.5, 0.032, 0.034, 0.0),
-            (1.0, 0.021, 0.027, 0.0))  # fmt: skip
-_MITTEN = ((0.0, 0.020, 0.026, 0.0), (0.22, 0.019, 0.036, 0.0), (0.48, 0.018, 0.038, 0.0),
-           (0.72, 0.016, 0.034, 0.0), (1.0, 0.014, 0.022, 0.0))  # fmt: skip
-_THUMB = ((0.0, 0.013, 0.014, 0.0), (1.0, 0.010, 0.011, 0.0))
-_COLLAR = ((0.0, 0.042, 0.050, 0.0), (0.6, 0.041, 0.050, 0.0), (1.0, 0.041, 0.047, 0.0))
-_TRAPEZIUS = ((0.0, 0.030, 0.034, 0.0), (0.5, 0.028, 0.032, 0.0), (1.0, 0.026, 0.032, 0.0))
-_BELT = 0.18  # share of the torso at which the trousers end
-_NECK = ((0.0, 0.070, 0.066, -0.012), (0.25, 0.052, 0.055, -0.008), (0.55, 0.047, 0.051, -0.004),
-         (1.0, 0.046, 0.050, 0.0))  # fmt: skip
-# Height from the middle, in half head heights; then as above.
-_HEAD = ((-0.6, 0.054, 0.068, 0.018), (-0.3, 0.065, 0.083, 0.010), (0.0, 0.072, 0.092, 0.003),
-         (0.25, 0.075, 0.095, -0.001), (0.45, 0.074, 0.093, -0.003))  # fmt: skip
-_HEAD_CAPS = 0.80, 0.80
-_HEAD_HALF = 0.118  # m, half height of the head
-# Share of the distance from mid hips to mid shoulders; then as above.
-_TORSO = ((-0.08, 0.110, 0.078, -0.012), (-0.03, 0.138, 0.096, -0.012),
-          (0.06, 0.154, 0.104, -0.010), (0.18, 0.146, 0.098, -0.005),
-          (0.42, 0.120, 0.086, 0.004), (0.62, 0.136, 0.100, 0.006), (0.8, 0.150, 0.108, 0.006),
-          (0.93, 0.144, 0.096, 0.0), (1.03, 0.112, 0.070, -0.008), (1.1, 0.064, 0.054, -0.010))  # fmt: skip
-# Distance ahead of the ankle (0.1 is the ball of the foot), half width, heights of sole and instep; m.
-_FOOT = ((-0.042, 0.030, 0.002, 0.076), (-0.03, 0.033, 0.0, 0.090),
-         (0.0, 0.035, 0.0, 0.102), (0.035, 0.037, 0.0, 0.088), (0.07, 0.041, 0.0, 0.066),
-         (0.1, 0.044, 0.0, 0.049), (0.13, 0.041, 0.001, 0.040), (0.152, 0.032, 0.004, 0.033))  # fmt: skip
+INFLUENCES = 4  # most joints per point
+LONGEST = 20.0  # largest ratio of a bone to the same bone of a body of the same legs
+# As shares of the leg: the least drop from ankle to ball of a standing foot, to which those of CMU's rest poses are
+# raised, the largest and least at which the foot of a rest pose stands flat, and the least height of its ball.
+DROP, FLAT, BALL = 0.045, (0.015, 0.13), 0.024
+# Bones of limbs, each with the joint at its end.
+_BONES = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
+_FINGERS = {"Thumb": "thumb", "Index": "index", "Middle": "mid", "Ring": "ring", "Pinky": "pink|little"}
+_UPRIGHT = 0.96  # cosine of the angle to an axis of the world within which that axis is up
+_NO_FINGER = "end|nub|tip|site"
+_SPINE = ("Hips", "LowerBack", "Spine", "Spine1")
+_TRUNK = (*_SPINE, "Shoulder")
+Chain = Sequence[tuple[float, float, int]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,28 +81,22 @@ class BodyPose:
             if one in self.ends:
                 self.ends[one] = middle + by @ (self.ends[one] - middle)
 
-    def inverse_matrices(self) -> Array:
-        """Matrices (J, 4, 4) from the world to each joint's space in this pose: glTF's inverse bind matrices."""
-        back = self.rotations.transpose(0, 2, 1)
-        out = np.broadcast_to(np.eye(4), (len(back), 4, 4)).copy()
-        out[:, :3, :3] = back
-        out[:, :3, 3] = -np.einsum("jab,jb->ja", back, self.places)
-        return out
+    def lifted(self, by: Array) -> BodyPose:
+        """The pose moved by (3,)."""
+        ends = {joint: end + by for joint, end in self.ends.items()}
+        return replace(self, places=self.places + by, ends=ends)
 
 
-_kept: OrderedDict[tuple, tuple[Surface, BodyPose]] = OrderedDict()
-
-
-def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) -> tuple[Surface, BodyPose]:
+def make_body(
+    motion: Motion, figure: Figure | None = None, body: str = BODIES[0]
+) -> tuple[Surface, BodyPose]:
     """A skinned body mesh for the rig of a motion, and the pose in which the mesh is made.
-
-    Recent bodies are cached, because clips shown together often share one.
 
     Args:
         motion: in metres with Y up (`figure_data.in_metres`). The mesh is made in its rest pose if that is upright,
             else in its most upright frame.
         figure: the motion's `motion_figure`, computed if None.
-        step: approximate edge length of the mesh, m.
+        body: one of BODIES, for human rigs.
 
     Raises:
         SkeletonError: all bones of a human rig have length zero.
@@ -134,21 +104,18 @@ def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) 
     check_bones(motion)
     bones = (figure or motion_figure(motion)).bones
     drawn = frozenset(joint for _, joint in bones if joint < len(motion.skeleton))
+    rest = _rest(motion, drawn)
     try:
         rig = map_rig(motion.skeleton)
-    except SkeletonError:
-        return _bony(motion, _rest(motion, drawn))
-    poses = [_rest(motion, drawn)]
-    if _stoop(poses[0], rig) > 0.5:  # the rest pose is not a standing human
-        poses = [_frame(motion, t, drawn) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
-    pose = min(poses, key=lambda p: _stoop(p, rig))
-    human = _Human(motion.skeleton.names, rig, pose)
-    if human.size == 0.0:  # all sizes depend on the leg length
-        return _bony(motion, _rest(motion, drawn))
-    try:
-        return _human_body(human, step)
-    except SkeletonError:  # proportions of no human
-        return _bony(motion, _rest(motion, drawn))
+        poses = [rest]
+        if _stoop(rest, rig) > 0.5:  # the rest pose is not a standing human
+            poses = [_frame(motion, t, drawn) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
+        pose = min(poses, key=lambda p: _stoop(p, rig))
+        made, pose = _Fitting(load_asset(body), motion.skeleton.names, rig, pose).surface()
+    except SkeletonError:  # no human, or one with the proportions of none
+        made, pose = _bony(motion, rest)
+    lift = np.array([0.0, -made.points[:, 1].min(), 0.0])  # on the floor
+    return replace(made, points=made.points + lift), pose.lifted(lift)
 
 
 def check_bones(motion: Motion) -> None:
@@ -161,22 +128,6 @@ def check_bones(motion: Motion) -> None:
     except SkeletonError:
         return
     raise SkeletonError("all bones have length zero")
-
-
-def _human_body(human: _Human, step: float) -> tuple[Surface, BodyPose]:
-    """The body of a human rig, cached; its arrays must not be changed."""
-    pose = human.pose
-    ends = tuple((joint, end.tobytes()) for joint, end in sorted(pose.ends.items()))
-    numbers = (pose.rotations.tobytes(), pose.places.tobytes(), ends)
-    key = (human.names, pose.parents, pose.bones, tuple(sorted(human.rig.items())), numbers, step)
-    if key not in _kept:
-        made = human.surface(step)
-        for array in (*vars(made[0]).values(), made[1].rotations, made[1].places):
-            array.flags.writeable = False
-        while len(_kept) >= MOST_KEPT:
-            _kept.popitem(last=False)
-        _kept[key] = made
-    return _kept[key]
 
 
 def _rest(motion: Motion, bones: frozenset[int]) -> BodyPose:
@@ -220,344 +171,295 @@ def _between(start: Array, end: Array) -> Array:
     axis = np.cross(start, end)
     cosine = float(start @ end)
     if cosine < -0.999:  # a half turn about any perpendicular axis
-        across, _ = cross_axes(start, np.array([0.0, 0.0, 1.0]))
+        across = unit(np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))]), start)
         return 2.0 * np.outer(across, across) - np.eye(3)
     cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     turn: Array = np.eye(3) + cross + cross @ cross / (1.0 + cosine)
     return turn
 
 
-class _Human:
-    """Builds the parts of a human body around the canonical joints of a rig."""
+def _smooth(shares: Array) -> Array:
+    t = np.clip(shares, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
 
-    def __init__(self, names: tuple[str, ...], rig: RigMap, pose: BodyPose) -> None:
-        self.names, self.rig = names, rig.places
-        self.pose = pose
-        self.pieces: list[Piece] = []
-        self.builder = SurfaceBuilder()  # for fingers and other thin parts, which the skin would swallow
-        hips = (self.at("LeftUpLeg") + self.at("RightUpLeg")) / 2
-        chest = (self.at("LeftArm") + self.at("RightArm")) / 2
-        self.hips, self.torso = hips, float(np.linalg.norm(chest - hips))
-        self.up = unit(chest - hips, np.array([0.0, 1.0, 0.0]))
-        across = self.at("LeftUpLeg") - self.at("RightUpLeg") + self.at("LeftArm") - self.at("RightArm")
-        self.front = unit(np.cross(across, self.up), np.array([0.0, 0.0, 1.0]))
-        self.left = np.cross(self.up, self.front)
-        thigh = np.linalg.norm(self.at("LeftLeg") - self.at("LeftUpLeg"))
-        shin = np.linalg.norm(self.limb_end("Left", "Leg", "Foot") - self.at("LeftLeg"))
-        self.size = float(thigh + shin) / LEG
-        self.used = {j for name in self.rig for j in self.path(0, self.rig[name])}
-        spine = [self.rig[n] for n in ("Hips", "LowerBack", "Spine", "Spine1") if n in self.rig]
-        self.spine = list(dict.fromkeys(spine))
-        self.chest = self.spine[-1]
+
+class _Trunk:
+    """The frame of a standing body: its axes, in rows left, up and front, its middle between the hips, lengths in m."""
+
+    def __init__(self, at: dict[str, Array]) -> None:
+        self.hips = (at["LeftUpLeg"] + at["RightUpLeg"]) / 2
+        chest = (at["LeftArm"] + at["RightArm"]) / 2
+        up = unit(self.hips - (at["LeftFoot"] + at["RightFoot"]) / 2, np.array([0.0, 1.0, 0.0]))
+        if np.abs(up).max() > _UPRIGHT:
+            up = up.round()
+        across = at["LeftUpLeg"] - at["RightUpLeg"] + at["LeftArm"] - at["RightArm"]
+        left = unit(across - (across @ up) * up, np.eye(3)[0])
+        self.axes = np.stack([left, up, np.cross(left, up)])
+        # Trunks lean against their legs in some rigs; the torso is sheared along with them.
+        self.torso = np.stack([left, chest - self.hips, self.axes[2]])
+        self.height = float((chest - self.hips) @ up)
+        self.widths = [float(np.linalg.norm(at[f"Left{p}"] - at[f"Right{p}"])) for p in ("UpLeg", "Arm")]
+        ends = [(at[f"{side}UpLeg"], at[f"{side}Leg"], at[f"{side}Foot"]) for side in SIDES]
+        self.leg = float(np.mean([np.linalg.norm(b - a) + np.linalg.norm(c - b) for a, b, c in ends]))
+
+    def inside(self, points: Array) -> Array:
+        """Points (N, 3) as m to the left, shares of the torso's height, and m to the front."""
+        shares: Array = (points - self.hips) @ np.linalg.inv(self.torso)
+        return shares
+
+
+class _Fitting:
+    """Fits a body to the joints of a human rig."""
+
+    def __init__(self, asset: Asset, names: tuple[str, ...], rig: RigMap, pose: BodyPose) -> None:
+        self.asset, self.pose = asset, pose.copy()
+        self.joints = dict(rig.places)
+        for side in SIDES:
+            self.joints |= self._fingers(side, names)
+        self.own = _Trunk(asset.places)
+        self.trunk = _Trunk({name: self.at(name) for name in asset.places if self._known(name)})
+        if self.trunk.leg == 0.0 or self.trunk.height < 0.1 * self.trunk.leg:
+            raise SkeletonError("legs or a trunk without length")
+        self.size = self.trunk.leg / self.own.leg
+        self.turn = self.trunk.axes.T @ self.own.axes  # from the asset's axes to the rig's
+        self.soles = {f"{side}Foot": self._sole(f"{side}Foot") for side in SIDES}
+        arms = [self._path(0, self.joints[f"{side}Arm"]) for side in SIDES]
+        chest = [joint for joint in arms[0] if joint in arms[1]]
+        hips = rig.places["Hips"]
+        self.spine = [hips, *(chest[chest.index(hips) + 1 :] if hips in chest else chest[1:])]
+
+    def surface(self) -> tuple[Surface, BodyPose]:
+        """The mesh around the rig, with its limbs in the asset's directions; and this pose."""
+        self._strike()
+        asset = self.asset
+        made = np.zeros_like(asset.points)
+        for n, name in enumerate(asset.names):
+            some = np.flatnonzero(asset.weights[:, n])
+            made[some] += asset.weights[some, n, None] * self._placed(name, asset.points[some])
+        joints, weights = _strongest(self._skin(made))
+        upright = _between(self.trunk.axes[1], np.array([0.0, 1.0, 0.0]))  # rest poses may have Z up
+        made = self.pose.places[0] + (made - self.pose.places[0]) @ upright.T
+        self.pose.turn(0, upright)
+        return Surface(made, asset.triangles, joints, weights, asset.regions, asset.palette), self.pose
 
     def at(self, name: str) -> Array:
-        return self.pose.places[self.rig[name]]
+        """The place of a joint in the pose; of a missing ankle or wrist the end of the bone above."""
+        if name in self.joints:
+            return self.pose.places[self.joints[name]]
+        above = self.asset.parents[name]
+        bone = self.at(above) - self.at(self.asset.parents[above])
+        return self.pose.ends.get(self.joints[above], self.at(above) + 0.9 * bone)
 
-    def path(self, above: int, joint: int) -> list[int]:
+    def _known(self, name: str | None) -> bool:
+        return name is not None and (name in self.joints or name.endswith(("Foot", "Hand")))
+
+    def _path(self, above: int, joint: int) -> list[int]:
         """The joints from an ancestor `above` down to a joint, both included."""
         out = [joint]
         while out[-1] != above and self.pose.parents[out[-1]] >= 0:
             out.append(self.pose.parents[out[-1]])
         return out[::-1]
 
-    def limb_end(self, side: str, part: str, below: str) -> Array:
-        """The end of a limb's last bone: its joint, its End Site, or an extrapolation of the bone before."""
-        if side + below in self.rig:
-            return self.at(side + below)
-        joint = self.rig[side + part]
-        before = {"Leg": "UpLeg", "ForeArm": "Arm"}[part]
-        bone = self.at(side + part) - self.at(side + before)
-        return self.pose.ends.get(joint, self.pose.places[joint] + 0.9 * bone)
-
-    def _spread(self) -> None:
-        """Spread the limbs so that their skins do not touch, in a pose from which the joints bend little."""
-        self.pose = self.pose.copy()
-        for side, out in zip(SIDES, (self.left, -self.left), strict=True):
-            for part, below, way in (
-                ("UpLeg", "Leg", (-0.985, 0.17, 0.0)),
-                ("Leg", "Foot", (-0.99, 0.14, -0.02)),
-                ("Arm", "ForeArm", (-0.66, 0.75, 0.0)),
-                ("ForeArm", "Hand", (-0.66, 0.74, 0.12)),
-            ):
-                target = way[0] * self.up + way[1] * out + way[2] * self.front
-                joint = self.rig[side + part]
-                bone = self.limb_end(side, part, below) - self.pose.places[joint]
-                self.pose.turn(joint, _between(unit(bone, target), target / np.linalg.norm(target)))
-            self._flatten_foot(side, out)
-
-    def _flatten_foot(self, side: str, out: Array) -> None:
-        ankle, toe = self.rig.get(f"{side}Foot"), self.rig.get(f"{side}ToeBase")
-        if ankle is None or toe is None:
-            return
-        bone = self.pose.places[toe] - self.pose.places[ankle]
-        length = float(np.linalg.norm(bone))
-        if length < 0.05 * self.size:
-            return
-        drop = float(np.clip(self.size * (ANKLE - BALL) / length, 0.0, 0.85))
-        ahead = unit(self.front + 0.1 * out, self.front)
-        target = np.sqrt(1.0 - drop**2) * ahead - drop * self.up
-        self.pose.turn(ankle, _between(bone / length, target))
-
-    def surface(self, step: float) -> tuple[Surface, BodyPose]:
-        self._spread()
-        self._torso()
-        self._neck_and_head()
-        for side in SIDES:
-            self._leg(side)
-            self._arm(side)
-            self._foot(side)
-            self._hand(side)
-        self._others()
-        axes = np.stack([self.left, self.up, self.front])
-        body = skin(self.pieces, axes, self.size, len(self.names), step)
-        return (joined(body, self.builder.surface()) if self.builder.parts else body), self.pose
-
-    def _piece(
-        self,
-        path: Sequence[Array],
-        profile: Profile,
-        joints: tuple[int, Chain],
-        tint: str | tuple[int, Chain] = "body",
-        front: Array | None = None,
-        **form: Any,
-    ) -> None:
-        """Add a piece; `form` holds its `power` and `caps`."""
-        scaled = np.array([(share, *(self.size * value for value in rest)) for share, *rest in profile])
-        tints = (TINTS.index(tint), ()) if isinstance(tint, str) else tint
-        ahead = self.front if front is None else front
-        self.pieces.append(Piece(np.stack(path), scaled, ahead, joints, tints, **form))
-
-    def _ball(
-        self, place: Array, radii: tuple[float, float, float], joints: tuple[int, Chain], tint: str = "body"
-    ) -> None:
-        """Add an ellipsoid with a half width, half depth and approximate half height."""
-        wide, deep, high = radii
-        rest = max(high - float(np.sqrt(wide * deep)), 1e-3) * self.size
-        path = [place - rest * self.up, place + rest * self.up]
-        self._piece(
-            path, ((0.0, wide, deep, 0.0), (0.5, wide, deep, 0.0), (1.0, wide, deep, 0.0)), joints, tint
+    def _fingers(self, side: str, names: tuple[str, ...]) -> dict[str, int]:
+        """The joints of a hand's fingers by their names, numbered from the palm."""
+        found: dict[str, int] = {}
+        hand = self.joints.get(f"{side}Hand")
+        below = (
+            [] if hand is None else [j for j in range(hand + 1, len(names)) if hand in self._path(hand, j)]
         )
+        for finger, words in _FINGERS.items():
+            own = [j for j in below if re.search(words, names[j], re.IGNORECASE)]
+            own = [j for j in own if not re.search(_NO_FINGER, names[j], re.IGNORECASE)]
+            if finger != "Thumb":
+                own = [j for j in own if "metacarpal" not in names[j].lower()]
+            found |= {f"{side}Hand{finger}{n}": joint for n, joint in enumerate(own[:3], start=1)}
+        return found
 
-    def _bone(
-        self, side: str, part: str, below: str, before: int, bends: tuple[float, float]
-    ) -> tuple[list[Array], tuple[int, Chain]]:
-        """The path of a limb's bone and its joints: the previous one, those along the bone, the next one.
+    def _end(self, name: str) -> str | None:
+        """The joint at the end of a joint's bone, if the rig has both."""
+        part = re.sub("^(Left|Right)", "", name)
+        side = name.removesuffix(part)
+        if part in _BONES:
+            end = side + _BONES[part]
+        elif part[-1].isdigit() and "Hand" in part:
+            end = f"{name[:-1]}{int(name[-1]) + 1}"
+        elif part in ("Neck", "Neck1"):
+            end = "Neck1" if part == "Neck" and "Neck1" in self.joints else "Head"
+        else:
+            return None
+        return end if self._known(end) else None
 
-        bends: half widths of the joint transitions at the near and far end, as shares of the length.
-        """
-        top = self.rig[side + part]
-        end = self.rig.get(side + below)
-        joints = [top] if end is None else self.path(top, end)[:-1]
-        start, stop = self.pose.places[top], self.limb_end(side, part, below)
-        along = stop - start
-        shares = [float((self.pose.places[j] - start) @ along / max(along @ along, 1e-12)) for j in joints]
-        chain = [(0.0, bends[0], top)]
-        chain += [(share, 0.1, joint) for share, joint in zip(shares[1:], joints[1:], strict=True)]
-        if end is not None:
-            chain.append((1.0, bends[1], end))
-        return [start, stop], (before, chain)
+    def _owner(self, name: str) -> str:
+        """The joint that moves the part of a joint: itself, or the nearest above it that the rig has."""
+        while name not in self.joints:
+            name = self.asset.parents[name]
+        return name
 
-    def _leg(self, side: str) -> None:
-        path, (hips, chain) = self._bone(side, "UpLeg", "Leg", self.rig["Hips"], (0.22, 0.09))
-        chain = [(chain[0][0] + 0.06, *chain[0][1:]), *chain[1:]]
-        self._piece(path, _THIGH, (hips, chain), "leg")
-        last = self.path(self.rig[f"{side}UpLeg"], self.rig[f"{side}Leg"])[-2]
-        path, joints = self._bone(side, "Leg", "Foot", last, (0.09, 0.06))
-        shoe = (TINTS.index("leg"), ((0.93, 0.02, TINTS.index("foot")),))
-        self._piece(path, _SHIN, joints, shoe)
-        seat = self.at(f"{side}UpLeg") - self.size * (0.025 * self.up + 0.035 * self.front)
-        self._ball(
-            seat, (0.078, 0.082, 0.088), (self.rig[f"{side}UpLeg"], [(0.1, 1.6, self.rig["Hips"])]), "leg"
-        )
-
-    def _arm(self, side: str) -> None:
-        """Add the arm and the shoulder between upper arm and chest, which rises with the collar bone."""
-        arm = self.at(f"{side}Arm") - 0.018 * self.size * self.up
-        base = self.hips + 0.93 * self.torso * self.up
-        start = base + 0.3 * (arm - base)
-        collar, upper = self.rig.get(f"{side}Shoulder", self.chest), self.rig[f"{side}Arm"]
-        self._piece([start, arm], _COLLAR, (self.chest, [(0.25, 0.35, collar), (1.0, 0.3, upper)]))
-        neck = self.hips + 1.1 * self.torso * self.up - 0.015 * self.size * self.front
-        slope = [neck + 0.1 * (arm - neck), neck + 0.85 * (arm - neck)]
-        self._piece(slope, _TRAPEZIUS, (self.chest, [(0.45, 0.4, collar)]))
-        (top, end), (_, chain) = self._bone(side, "Arm", "ForeArm", collar, (0.25, 0.12))
-        chain = [(0.12, *chain[0][1:]), *chain[1:]]
-        self._piece([arm + 0.05 * (end - top), end], _UPPER_ARM, (collar, chain))
-        last = self.path(self.rig[f"{side}Arm"], self.rig[f"{side}ForeArm"])[-2]
-        path, joints = self._bone(side, "ForeArm", "Hand", last, (0.12, 0.12))
-        glove = (TINTS.index("body"), ((0.93, 0.02, TINTS.index("hand")),))
-        self._piece(path, _FOREARM, joints, glove if f"{side}Hand" in self.rig else "body")
-
-    def _torso(self) -> None:
-        hips_wide = (
-            float(np.linalg.norm(self.at("LeftUpLeg") - self.at("RightUpLeg"))) / 2 / 0.0914 / self.size
-        )
-        chest_wide = float(np.linalg.norm(self.at("LeftArm") - self.at("RightArm"))) / 2 / 0.181 / self.size
-        height = self.torso / 0.507 / self.size
-        deep = 0.5 * (height + 1.0)
-        shares = [float((self.pose.places[j] - self.hips) @ self.up) / self.torso for j in self.spine]
-        low, high = _TORSO[0][0], _TORSO[-1][0]
-        profile = []
-        for share, width, depth, shift in _TORSO:
-            upper = float(np.clip((share - 0.1) / 0.7, 0.0, 1.0))
-            wide = (1 - upper) * np.clip(hips_wide, 0.8 * height, 1.25 * height) + upper * np.clip(
-                chest_wide, 0.8 * height, 1.3 * height
-            )
-            profile.append(((share - low) / (high - low), width * float(wide), depth * deep, shift * deep))
-        # Each joint of the spine blends into the next around the middle of its bone.
-        ends = [*shares[1:], 1.0]
-        chain = []
-        for n in range(1, len(self.spine)):
-            start = max(shares[n], 0.06) if n == 1 else shares[n]
-            reach = max(0.45 * (ends[n] - (shares[n - 1])), 0.08)
-            chain.append(((start - low) / (high - low), reach / (high - low), self.spine[n]))
-        belt = (TINTS.index("leg"), (((_BELT - low) / (high - low), 0.02, TINTS.index("body")),))
-        path = [self.hips + share * self.torso * self.up for share in (low, high)]
-        self._piece(path, tuple(profile), (self.spine[0], chain), belt, power=2.3, caps=(0.5, 0.6))
-
-    def _neck_and_head(self) -> None:
-        base = self.hips + 1.0 * self.torso * self.up
-        neck = self.rig.get("Neck", self.chest)
-        head = self.rig.get("Head")
-        if head is None:
-            tip = self.pose.ends.get(neck, base)
-            along = unit(tip - base, self.up)
-            along = along if along @ self.up > 0.5 else self.up
-            tip = base + float(np.clip((tip - base) @ along, 0.2 * self.size, 0.3 * self.size)) * along
-            self._head(neck, tip, along)
-            self._neck(base, tip, neck, [])
-            return
-        end = self.pose.ends.get(head)
-        place = self.pose.places[head]
-        along = unit(place - base, self.up)
-        if end is not None and np.linalg.norm(end - place) > 0.03 * self.size:
-            towards = unit(end - place, along)
-            along = towards if towards @ along > 0.5 else along
-        reach = 0.1 * self.size if end is None else float(np.linalg.norm(end - place))
-        lift = float(np.clip(reach - 0.055 * self.size, 0.03 * self.size, 0.1 * self.size))
-        middle = place + lift * along
-        self._head(head, middle, along)
-        self._neck(base, middle, neck, self.path(neck, head)[1:])
-
-    def _neck(self, base: Array, top: Array, neck: int, above: list[int]) -> None:
-        """Add the neck from the chest into the head; `above` lists the joints from neck to head."""
-        way = top - base
-        chain = [(0.12, 0.2, neck)]
-        for joint in above:
-            share = float((self.pose.places[joint] - base) @ way / max(way @ way, 1e-12))
-            chain.append((float(np.clip(share, 0.25, 0.9)), 0.16, joint))
-        throat = (TINTS.index("body"), ((0.2, 0.05, TINTS.index("head")),))
-        self._piece([base, top], _NECK, (self.chest, chain), throat)
-
-    def _head(self, joint: int, middle: Array, along: Array) -> None:
-        _, depth = cross_axes(along, self.front)
-        half = self.size * _HEAD_HALF
-        low, high = _HEAD[0][0], _HEAD[-1][0]
-        profile = tuple(((h - low) / (high - low), *rest) for h, *rest in _HEAD)
-        path = [middle + low * half * along, middle + high * half * along]
-        self._piece(path, profile, (joint, ()), "head", caps=_HEAD_CAPS)
-        s = self.size
-        bridge, tip = (
-            middle + s * (0.088 * depth + 0.004 * along),
-            middle + s * (0.100 * depth - 0.026 * along),
-        )
-        self._piece(
-            [bridge, tip], ((0.0, 0.007, 0.006, 0.0), (1.0, 0.013, 0.012, 0.0)), (joint, ()), "head", depth
-        )
-        chin = middle + s * (0.056 * depth - 0.072 * along)
-        self._ball(chin, (0.030, 0.026, 0.028), (joint, ()), "head")
-
-    def _foot(self, side: str) -> None:
-        ankle_at = self.limb_end(side, "Leg", "Foot")
-        ankle = self.rig.get(f"{side}Foot", self.rig[f"{side}Leg"])
-        toe = self.rig.get(f"{side}ToeBase")
-        s, down = self.size, unit(ankle_at - self.at(f"{side}Leg"), -self.up)
-        fallback = ankle_at + s * (0.1 * self.front + (ANKLE - BALL) * down)
-        ball = self.pose.places[toe] if toe is not None else self.pose.ends.get(ankle, fallback)
-        if np.linalg.norm(ball - ankle_at) < 0.05 * s:
-            ball = fallback
-        bone = ball - ankle_at
-        length = float(np.linalg.norm(bone))
-        bone = bone / length
-        left = unit(np.cross(-down, bone), self.left)
-        # The sole is flat on the floor when ankle and ball are at their standing heights.
-        drop = float(np.arcsin(np.clip(s * (ANKLE - BALL) / length, 0.0, 0.85)))
-        raised = unit(np.cross(bone, left), -down)
-        ahead = np.cos(drop) * bone + np.sin(drop) * raised
-        normal = np.cross(ahead, left)
-        ground = ankle_at - s * ANKLE * normal
-        stretch = length * float(np.cos(drop)) / (0.1 * s)
-        rows = []
-        for x, width, sole, top in _FOOT:
-            forward = x * (stretch if 0.0 < x < 0.1 else 1.0) + (0.1 * (stretch - 1.0) if x >= 0.1 else 0.0)
-            rows.append((forward, width, 0.5 * (top - sole), 0.5 * (sole + top)))
-        start, stop = rows[0][0], rows[-1][0]
-        profile = tuple(((x - start) / (stop - start), *rest) for x, *rest in rows)
-        chain = []
-        if toe is not None:
-            chain.append(((0.1 * stretch - start) / (stop - start), 0.13, toe))
-        path = [ground + s * start * ahead, ground + s * stop * ahead]
-        self._piece(path, profile, (ankle, chain), "foot", normal, power=2.6)
-
-    def _hand(self, side: str) -> None:
-        if f"{side}Hand" not in self.rig:
-            return
-        hand, s = self.rig[f"{side}Hand"], self.size
-        place = self.pose.places[hand]
-        along = unit(place - self.at(f"{side}ForeArm"), self.left)
-        knuckles = [self.pose.places[j] for j in self._knuckles(hand)]
-        if knuckles:  # end the palm where the fingers begin
-            reach = float(np.median([np.linalg.norm(k - place) for k in knuckles]))
-            along = unit(np.mean(knuckles, axis=0) - place, along)
-            spread = max((np.linalg.norm(a - b) for a in knuckles for b in knuckles), default=0.0)
-            wide = float(np.clip(0.5 * spread / s, 0.025, 0.05))
-            widest = max(
-                ((a - b) for a in knuckles for b in knuckles), key=lambda v: float(np.linalg.norm(v))
-            )
-            profile = ((0.0, 0.018, 0.026, 0.0), (1.0, 0.012, wide, 0.0))
-            tip = place + max(reach, 0.05 * s) * along
-            self._piece([place, tip], profile, (hand, ()), "hand", widest)
-            return
-        end = self.pose.ends.get(hand)
-        if end is not None and np.linalg.norm(end - place) > 0.03 * s:
-            towards = unit(end - place, along)
-            along = towards if towards @ along > 0.5 else along
-        self._piece([place + 0.012 * s * along, place + 0.165 * s * along], _MITTEN, (hand, ()), "hand")
-        _, depth = cross_axes(along, self.front)
-        root, tip = place + s * (0.03 * along + 0.026 * depth), place + s * (0.085 * along + 0.056 * depth)
-        self._piece([root, tip], _THUMB, (hand, ()), "hand")
-
-    def _knuckles(self, hand: int) -> list[int]:
-        """The first joints of a hand's fingers; none if the hand has only a thumb and a tip."""
-        parents = self.pose.parents
-        fingers = [j for j, parent in enumerate(parents) if parent == hand and j in parents]
-        return fingers if len(fingers) >= 3 else []
-
-    def _others(self) -> None:
-        """Add fingers, tails and other extra joints as thin bones."""
-        hands = {self.rig[f"{side}Hand"] for side in SIDES if f"{side}Hand" in self.rig}
-        knuckles = {joint for hand in hands for joint in self._knuckles(hand)}
-        closed = {self.rig[n] for n in ("Head", "LeftFoot", "RightFoot") if n in self.rig}
-        closed |= {hand for hand in hands if not self._knuckles(hand)}
-        for joint in sorted(self.pose.bones - self.used):
-            if closed & set(self.path(0, joint)):
+    def _strike(self) -> None:
+        """Bring the limbs of the pose into the directions of the asset."""
+        for name in (name for name in self.asset.names if name in self.joints):
+            here, end = self.at(name), self._end(name)
+            if name.startswith("Neck"):
                 continue
-            parent, place = self.pose.parents[joint], self.pose.places[joint]
-            if joint not in knuckles:
-                self._twig(self.pose.places[parent], place, parent)
-            if joint in self.pose.ends:
-                self._twig(place, self.pose.ends[joint], joint)
+            if name in self.soles:
+                toe = name.replace("Foot", "ToeBase")
+                if toe not in self.joints:
+                    continue
+                bone = self.at(toe) - here
+                drop = np.clip(self.soles[name][1] / max(float(np.linalg.norm(bone)), 1e-9), 0.0, 0.85)
+                wish = [0.0, -drop, np.sqrt(1.0 - drop**2)] @ self._shoe(self.trunk, name)
+            elif name.endswith("Hand") and len(knuckles := self._knuckles(name)) > 2:
+                bone = np.mean([self.at(knuckle) for knuckle in knuckles], axis=0) - here
+                wish = self.turn @ self._palm(name, knuckles)
+            elif end is not None:
+                bone = self.at(end) - here
+                wish = self.turn @ (self.asset.places[end] - self.asset.places[name])
+            else:
+                continue
+            wish = wish / np.linalg.norm(wish)
+            self.pose.turn(self.joints[name], _between(unit(bone, wish), wish))
 
-    def _twig(self, start: Array, end: Array, joint: int) -> None:
-        if np.linalg.norm(end - start) > 0.01 * self.size:
-            _bone(self.builder, start, end, joint, 0.009 * self.size, 0.008 * self.size, "hand")
+    def _knuckles(self, hand: str) -> list[str]:
+        return [f"{hand}{finger}1" for finger in _FINGERS if f"{hand}{finger}1" in self.joints]
+
+    def _palm(self, hand: str, knuckles: list[str]) -> Array:
+        own: Array = np.mean([self.asset.places[knuckle] for knuckle in knuckles], axis=0)
+        return own - self.asset.places[hand]
+
+    def _shoe(self, trunk: _Trunk, foot: str) -> Array:
+        """The axes of a flat foot, in rows left, up and ahead, in the axes of the asset or of the rig."""
+        way = self.asset.places[foot.replace("Foot", "ToeBase")] - self.asset.places[foot]
+        ahead = unit(way * [1.0, 0.0, 1.0], np.array([0.0, 0.0, 1.0]))
+        up = np.array([0.0, 1.0, 0.0])
+        axes: Array = np.stack([np.cross(up, ahead), up, ahead]) @ trunk.axes
+        return axes
+
+    def _sole(self, foot: str) -> tuple[float, float]:
+        """Height of the ankle of a standing foot, and its drop to the ball: as in a rest pose that stands flat."""
+        leg, toe = self.trunk.leg, foot.replace("Foot", "ToeBase")
+        ankle = self.size * float(self.asset.places[foot][1])
+        if foot in self.joints and toe in self.joints:
+            drop = float((self.at(foot) - self.at(toe)) @ self.trunk.axes[1])
+            if FLAT[0] < drop / leg < FLAT[1]:
+                drop = max(drop, DROP * leg)
+                return max(ankle, drop + BALL * leg), drop
+        return ankle, ankle - self.size * float(self.asset.places[toe][1])
+
+    def _placed(self, name: str, points: Array) -> Array:
+        """Points (N, 3) of a joint's part of the asset, around the rig."""
+        part = re.sub("^(Left|Right)", "", name)
+        if part in _TRUNK or ("Head" not in self.joints and part in ("Neck", "Neck1", "Head")):
+            return self._on_trunk(points)
+        if part in ("Neck", "Neck1", "Head"):
+            return self._on_neck(points)
+        if part in ("Foot", "ToeBase"):
+            return self._in_shoe(name.replace("ToeBase", "Foot"), points)
+        owner = self._owner(name)
+        if owner.endswith("ForeArm") and part != "ForeArm":  # a hand that the rig lacks
+            owner = owner.replace("ForeArm", "Hand")
+        own, end, along = self.asset.places[owner], self._end(owner), self.size
+        way = np.zeros(3)
+        if end is not None:
+            way = self.asset.places[end] - own
+            along = float(np.linalg.norm(self.at(end) - self.at(owner)) / np.linalg.norm(way))
+        elif owner.endswith("Hand") and len(knuckles := self._knuckles(owner)) > 2:
+            way = self._palm(owner, knuckles)
+            middle = np.mean([self.at(knuckle) for knuckle in knuckles], axis=0)
+            along = float(np.linalg.norm(middle - self.at(owner)) / np.linalg.norm(way))
+        if along > LONGEST * self.size:
+            raise SkeletonError(f"{owner} is too long for a body")
+        way = unit(way, way)
+        girth = float(np.cbrt(self.size**2 * max(along, 0.3 * self.size)))
+        scale = girth * np.eye(3) + (along - girth) * np.outer(way, way)
+        placed: Array = self.at(owner) + (points - own) @ (self.turn @ scale).T
+        return placed
+
+    def _on_trunk(self, points: Array) -> Array:
+        """As high as the rig's trunk, as wide as its hips and shoulders where they are plausible."""
+        tall = self.trunk.height / self.own.height
+        inside = self.own.inside(points)
+        low, high = (
+            np.clip(mine / own, 0.8 * tall, 1.3 * tall)
+            for mine, own in zip(self.trunk.widths, self.own.widths, strict=True)
+        )
+        upper = np.clip((inside[:, 1] - 0.1) / 0.7, 0.0, 1.0)
+        deep = float(np.sqrt(tall * self.size))
+        scales = np.stack([low + upper * (high - low), 0 * upper + 1.0, 0 * upper + deep], axis=-1)
+        placed: Array = self.trunk.hips + inside * scales @ self.trunk.torso
+        return placed
+
+    def _on_neck(self, points: Array) -> Array:
+        """The head with its middle over the rig's joint, and the neck between it and the trunk."""
+        up, own = self.trunk.axes[1], self.asset.places["Head"]
+        tall = float(np.sqrt(self.size * self.trunk.height / self.own.height))
+        # Joints of this name lie anywhere from the top of the neck to the middle of the head.
+        lift = np.clip((self._on_trunk(own[None])[0] - self.at("Head")) @ up, -0.03 * tall, 0.06 * tall)
+        placed: Array = self.at("Head") + lift * up + tall * (points - own) @ self.turn.T
+        neck = self.asset.places["Neck"]
+        shares = _smooth((points - neck) @ (own - neck) / ((own - neck) @ (own - neck)))[:, None]
+        return shares * placed + (1.0 - shares) * self._on_trunk(points)
+
+    def _in_shoe(self, foot: str, points: Array) -> Array:
+        """A foot on the ground under the ankle, as long as the rig's up to the ball."""
+        toe, own, axes = (
+            foot.replace("Foot", "ToeBase"),
+            self.asset.places[foot],
+            self._shoe(self.trunk, foot),
+        )
+        tall, long = self.soles[foot][0] / own[1], self.size
+        if toe in self.joints:
+            length = np.linalg.norm((self.asset.places[toe] - own)[[0, 2]])
+            ratio = (self.at(toe) - self.at(foot)) @ axes[2] / length
+            long = float(np.clip(ratio, 0.75 * self.size, 1.35 * self.size))
+        inside = (points - own) @ self._shoe(self.own, foot).T
+        placed: Array = self.at(foot) + (inside * [self.size, tall, long]) @ axes
+        return placed
+
+    def _skin(self, points: Array) -> Array:
+        """Weights (V, J) of the rig's joints for points (V, 3) of the mesh."""
+        out = np.zeros((len(points), len(self.pose.places)))
+        weights = dict(zip(self.asset.names, self.asset.weights.T, strict=True))
+        levels = self.trunk.inside(self.pose.places[self.spine])[:, 1].tolist()
+        ends = [*levels[1:], 1.0]
+        chain = []
+        for n in range(1, len(self.spine)):  # each joint blends into the next around the middle of its bone
+            start = max(levels[n], 0.06) if n == 1 else levels[n]
+            chain.append((start, max(0.45 * (ends[n] - levels[n - 1]), 0.08), self.spine[n]))
+        total = sum(weights[name] for name in _SPINE)
+        _add_chain(out, total, self.trunk.inside(points)[:, 1], self.spine[0], chain)
+        for name, weight in weights.items():
+            owner = self._owner(name)
+            if name in _SPINE:
+                continue
+            joint, end = self.spine[-1] if owner in _SPINE else self.joints[owner], self._end(owner)
+            if end not in self.joints or owner in _SPINE:
+                out[:, joint] += weight
+                continue
+            way = self.at(end) - self.at(owner)
+            between = self._path(joint, self.joints[end])[1:-1]
+            far = float(way @ way) or 1.0
+            chain = [(float((self.pose.places[j] - self.at(owner)) @ way) / far, 0.1, j) for j in between]
+            _add_chain(out, weight, (points - self.at(owner)) @ way / far, joint, chain)
+        return out
 
 
-def _bone(
-    builder: SurfaceBuilder, start: Array, end: Array, joint: int, near: float, far: float, tint: str = "body"
-) -> None:
-    middle = ((0.0, near, near, 0.0), (1.0, far, far, 0.0))
-    builder.limb([(start, joint), (end, joint)], middle, np.array([0.31, 0.17, 0.93]), tint)
+def _add_chain(out: Array, weight: Array, shares: Array, first: int, chain: Chain) -> None:
+    """Share a weight (V,) between the joints along a line: the first, then each (share, half width, joint)."""
+    left, joint = weight.copy(), first
+    for start, half, after in chain:
+        passed = left * _smooth((shares - start) / (2 * half) + 0.5)
+        out[:, joint] += left - passed
+        left, joint = passed, after
+    out[:, joint] += left
+
+
+def _strongest(weights: Array) -> tuple[np.ndarray, Array]:
+    """The joints (V, 4) with the largest weights, and these weights (V, 4), which add up to 1."""
+    most = min(INFLUENCES, weights.shape[1])
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :most]
+    found = np.take_along_axis(weights, order, axis=1)
+    missing = ((0, 0), (0, INFLUENCES - most))
+    return np.pad(order, missing), np.pad(found / found.sum(axis=1, keepdims=True), missing)
 
 
 def _bony(motion: Motion, pose: BodyPose) -> tuple[Surface, BodyPose]:
@@ -568,20 +470,49 @@ def _bony(motion: Motion, pose: BodyPose) -> tuple[Surface, BodyPose]:
         below[pose.parents[joint]] += below[joint]
     size = float(np.linalg.norm(np.ptp(pose.places, axis=0))) or 1.0
     radius = size * (0.008 + 0.03 * np.sqrt(below / count))
-    builder = SurfaceBuilder()
     bones = [(pose.parents[j], pose.places[j], radius[j]) for j in sorted(pose.bones) if pose.parents[j] >= 0]
     bones += [(j, end, 0.7 * radius[j]) for j, end in pose.ends.items()]
-    lengths = [float(np.linalg.norm(end - pose.places[joint])) for joint, end, _ in bones]
-    bones = [bone for bone, length in zip(bones, lengths, strict=True) if length >= 1e-6 * size]
+    rods = []
     for joint, end, thick in bones:
         length = float(np.linalg.norm(end - pose.places[joint]))
-        near, far = (min(r, 0.3 * length) for r in (1.15 * thick, thick))
-        _bone(builder, pose.places[joint], end, joint, near, far)
+        if length >= 1e-6 * size:
+            near, far = (min(r, 0.3 * length) for r in (1.15 * thick, thick))
+            rods.append((pose.places[joint], end, near, far, joint, "Shirt"))
     for joint, name in enumerate(names):
-        if name_part(name)[1] == "head" or not bones:
-            ball = 0.055 * size if bones else 0.1
+        if name_part(name)[1] == "head" or not rods:
+            ball = 0.055 * size if rods else 0.1
             along = np.array([0.0, 0.3 * ball, 0.0])
-            place = pose.ends.get(joint, pose.places[joint])
-            middle = (place + pose.places[joint]) / 2
-            _bone(builder, middle - along, middle + along, joint, ball, ball, "head")
-    return builder.surface(), pose
+            middle = (pose.ends.get(joint, pose.places[joint]) + pose.places[joint]) / 2
+            rods.append((middle - along, middle + along, ball, ball, joint, "Skin"))
+    return _rods(rods), pose
+
+
+def _rods(rods: list[tuple[Array, Array, float, float, int, str]]) -> Surface:
+    """Rounded rods, each from a start (3,) to an end (3,) with a radius at both, a joint and a region."""
+    around, rings = 12, np.radians([-90.0, -75.0, -45.0, -15.0, 15.0, 45.0, 75.0, 90.0])
+    angles = np.linspace(0.0, 2 * np.pi, around, endpoint=False)
+    n, k = np.meshgrid(np.arange(len(rings) - 1), np.arange(around), indexing="ij")
+    a, b = n * around + k, n * around + (k + 1) % around
+    faces = np.stack([a, b, b + around, a, b + around, a + around], axis=-1).reshape(-1, 3)
+    points, palette = [], load_asset().palette
+    for start, end, near, far, *_ in rods:
+        along = unit(end - start, np.array([0.0, 1.0, 0.0]))
+        depth = unit(np.array([0.31, 0.17, 0.93]) - (along @ [0.31, 0.17, 0.93]) * along, np.eye(3)[0])
+        across = np.cross(depth, along)
+        circle = np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * depth
+        for turn in rings:
+            place, radius = (start, near) if turn < 0.0 else (end, far)
+            points.append(place + radius * (np.sin(turn) * along + max(np.cos(turn), 1e-3) * circle))
+    size = len(rings) * around
+    joints = np.repeat([joint for *_, joint, _ in rods], size)
+    regions = np.repeat([REGIONS.index(region) for *_, region in rods], size)
+    triangles = (size * np.arange(len(rods))[:, None, None] + faces).reshape(-1, 3)
+    weights = np.tile([1.0, 0.0, 0.0, 0.0], (len(joints), 1))
+    return Surface(
+        np.concatenate(points),
+        triangles,
+        np.stack([joints, *[0 * joints] * 3], -1),
+        weights,
+        regions,
+        palette,
+    )

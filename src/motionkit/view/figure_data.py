@@ -22,13 +22,15 @@ from motionkit.motion.rotations import matrix_to_quat
 from motionkit.rig.character import Character
 from motionkit.rig.sides import joint_sides
 from motionkit.rig.upright import CM, in_metres
+from motionkit.view.asset import BODIES
 from motionkit.view.body import make_body
 from motionkit.view.character_data import own_joints
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
-from motionkit.view.surface import SHADES
+from motionkit.view.surface import OWN
 
 QUATERNION_STEPS = 32767  # steps per unit of a quaternion; resolves a few thousandths of a degree
 POINT_STEPS = 10_000  # steps per metre of body points; 0.1 mm each
+NORMAL_STEPS = 127  # steps per unit of their normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,7 @@ class Shown:
         types: motion types and their seconds in sequence; empty if unknown.
         path: (N, 2) x, z of the requested path in cm, or None.
         character: the .glb or .vrm file that the motion is for, or None.
+        body: the one of BODIES that human rigs get.
     """
 
     name: str
@@ -48,6 +51,7 @@ class Shown:
     types: Sequence[tuple[str, float]] = ()
     path: Array | None = None
     character: Character | None = None
+    body: str = BODIES[0]
 
     @property
     def hero(self) -> Character | None:
@@ -69,7 +73,7 @@ def shown_motions(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[
 
 
 def pack(values: NDArray, kind: str) -> dict[str, Any]:
-    """Pack an array of any shape for the page; kind is "f4", or "i2", "u2" or "u1" for integers."""
+    """Pack an array of any shape for the page; kind is "f4", or "i2", "i1", "u2" or "u1" for integers."""
     array = np.asarray(values)
     if kind == "f4":
         raw = array.astype("<f4")
@@ -98,7 +102,7 @@ def figure_data(shown: Shown) -> dict[str, Any]:
         "scale": metres.scale,
         "unit": metres.note,
         "floor": 0.0 if figure.floor_is_zero else figure.floor,
-        **rig_data(motion, figure, with_body=hero is None),
+        **rig_data(motion, figure, None if hero else shown.body),
         "hero": hero,
         "rotations": pack((motion.local_rotations.astype(np.float64) * QUATERNION_STEPS).round(), "i2"),
         "roots": pack(motion.root_positions, "f4"),
@@ -117,13 +121,13 @@ def figure_data(shown: Shown) -> dict[str, Any]:
     }
 
 
-def rig_data(motion: Motion, figure: Figure | None = None, with_body: bool = True) -> dict[str, Any]:
+def rig_data(motion: Motion, figure: Figure | None = None, body: str | None = BODIES[0]) -> dict[str, Any]:
     """The page's data for a rig and its body.
 
     Args:
         motion: in metres with Y up.
         figure: its motion_figure, computed if None.
-        with_body: make the body; a user's character takes its place otherwise.
+        body: one of BODIES; None for none, where a user's character takes its place.
     """
     figure = figure or motion_figure(motion)
     skeleton = motion.skeleton
@@ -138,13 +142,13 @@ def rig_data(motion: Motion, figure: Figure | None = None, with_body: bool = Tru
         "hips": figure.hips,
         "head": figure.head,
         "stature": figure.stature,
-        "body": _body_data(motion, figure) if with_body else None,
+        "body": None if body is None else _body_data(motion, figure, body),
     }
 
 
-def _body_data(motion: Motion, figure: Figure) -> dict[str, Any]:
-    """The body that is grown around a skeleton."""
-    surface, pose = make_body(motion, figure)
+def _body_data(motion: Motion, figure: Figure, body: str) -> dict[str, Any]:
+    """One of BODIES, fitted to a skeleton."""
+    surface, pose = make_body(motion, figure, body)
     return {
         "rotations": pack(matrix_to_quat(pose.rotations), "f4"),
         "places": pack(pose.places, "f4"),
@@ -152,8 +156,9 @@ def _body_data(motion: Motion, figure: Figure) -> dict[str, Any]:
         "triangles": pack(surface.triangles, "u2"),
         "joints": pack(surface.joints, "u2"),
         "weights": pack((surface.weights * 255).round(), "u1"),
-        "tints": pack((surface.tints * 255).round(), "u1"),
-        "shades": [[*color, share] for color, share in SHADES.values()],
+        "normals": pack((surface.normals * NORMAL_STEPS).round(), "i1"),
+        "regions": pack(surface.regions, "u1"),
+        "shades": [[*color, share] for color, share in zip(surface.palette.tolist(), OWN, strict=True)],
     }
 
 

@@ -17,11 +17,10 @@ from motionkit.view.body import make_body
 from motionkit.view.contact_sheet import load_pillow
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
 from motionkit.view.figure_data import Shown
-from motionkit.view.flesh import COARSE_STEP
 from motionkit.view.framing import DISTANCE, SIDE_ANGLE, Camera, Framing, frame_at
 from motionkit.view.picture_labels import Labels
 from motionkit.view.raster import fill_triangles
-from motionkit.view.surface import Array, Surface, point_normals
+from motionkit.view.surface import Array, Surface
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -46,7 +45,7 @@ class Actor:
     def _parts(self) -> tuple[Any, ...]:
         motion = in_metres(self.shown.motion).motion
         figure = motion_figure(motion)
-        surface, pose = make_body(motion, figure, COARSE_STEP)
+        surface, pose = make_body(motion, figure, self.shown.body)
         turns, places = motion_kinematics(motion)
         return surface, pose, quat_to_matrix(turns).astype(np.float64), places.astype(np.float64), figure
 
@@ -59,17 +58,21 @@ class Actor:
     def shades(self) -> Array:
         """The colour (F, 3) of each triangle in full light."""
         surface: Surface = self._parts[0]
-        return surface.colors(np.array(self.color, np.float64))[surface.triangles].mean(axis=1)
+        return surface.shades(np.array(self.color, np.float64))[surface.regions[surface.triangles[:, 0]]]
 
-    def triangles(self, time: float) -> tuple[Array, Array]:
-        """Corners (F, 3, 3) in the world at a time, with the floor at zero, and smoothed normals (F, 3)."""
+    @property
+    def corners(self) -> NDArray[np.int64]:
+        """The points (F, 3) of each triangle."""
+        corners: NDArray[np.int64] = self._parts[0].triangles
+        return corners
+
+    def body(self, time: float) -> tuple[Array, Array]:
+        """Points (V, 3) in the world at a time, with the floor at zero, and the triangles' smoothed normals (F, 3)."""
         surface, pose, turns, places, figure = self._parts
         frame = frame_at(time, figure.fps, len(turns))
-        points = surface.posed(pose.matrices_from(turns[frame], places[frame]))
+        points, normals = surface.moved(pose.matrices_from(turns[frame], places[frame]), surface.normals)
         points[:, 1] -= 0.0 if figure.floor_is_zero else figure.floor
-        corners = points[surface.triangles]
-        # Normals are averaged from triangles to points and back.
-        return corners, point_normals(points, surface.triangles)[surface.triangles].mean(axis=1)
+        return points, normals[surface.triangles].mean(axis=1)
 
 
 class Scenery:
@@ -90,7 +93,7 @@ class Scenery:
         """The picture at a time in seconds."""
         image, image_draw, _ = self.pillow
         camera = self.framing.camera(time)
-        bodies = [a.triangles(time) for a in self.actors]
+        bodies = [a.body(time) for a in self.actors]
         bodies = [
             (body + place, skin) for (body, skin), place in zip(bodies, self.framing.places, strict=True)
         ]
@@ -111,10 +114,10 @@ class Scenery:
 
         width, height = self.size[0] // ZOOM, self.size[1] // ZOOM
         shadow = np.zeros((height, width, 1), np.uint8)
-        for body, normals in bodies:
-            lit = body[normals @ self.sun > 0.0]
-            flat = lit - lit[..., 1:2] / self.sun[1] * self.sun
-            corners = camera.screen(flat)[..., :2] / ZOOM
+        for actor, (body, normals) in zip(self.actors, bodies, strict=True):
+            flat = body - body[:, 1:2] / self.sun[1] * self.sun
+            seen = camera.screen(flat)[:, :2] / ZOOM
+            corners = seen[actor.corners[normals @ self.sun > 0.0]]
             fill_triangles(shadow, corners, np.full((len(corners), 1), 90, np.uint8))
         soft = image.fromarray(shadow[..., 0]).filter(ImageFilter.GaussianBlur(2.5))
         box = soft.getbbox()
@@ -154,7 +157,7 @@ class Scenery:
         corners: list[Array] = []
         colors: list[NDArray[np.uint8]] = []
         for actor, (body, normals) in zip(self.actors, bodies, strict=True):
-            seen = camera.screen(body)
+            seen = camera.screen(body)[actor.corners]
             sides = np.diff(seen[..., :2], axis=1)
             facing = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0] < 0.0
             skin = normals[facing]

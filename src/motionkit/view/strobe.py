@@ -73,8 +73,8 @@ class StrobePicture(Scenery):
         image, image_draw, _ = self.pillow
         bodies = []
         for actor, time, place in zip(self.actors, self.times, self.places, strict=True):
-            corners, normals = actor.triangles(float(time))
-            bodies.append((corners + place, normals))
+            points, normals = actor.body(float(time))
+            bodies.append((points + place, normals))
         picture = image.new("RGB", self.size, SKY)
         pen = image_draw.Draw(picture)
         self.ground(pen, self.camera)

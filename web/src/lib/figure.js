@@ -40,19 +40,10 @@ export class Figure extends Group {
   set color(color) {
     this.base = new Color(color);
     if (this.hero) return; // it has its own
-    const { tints, shades } = this.rig.body;
+    const { regions, shades } = this.rig.body;
     const mixed = shades.map(([r, g, b, share]) => this.base.clone().lerp(spare.setRGB(r / 255, g / 255, b / 255, SRGBColorSpace), share));
     const colors = this.mesh.geometry.getAttribute("color");
-    for (let i = 0; i < colors.count; i++) {
-      spare.setRGB(0, 0, 0);
-      mixed.forEach((one, n) => {
-        const share = tints[i * mixed.length + n] / 255;
-        spare.r += share * one.r;
-        spare.g += share * one.g;
-        spare.b += share * one.b;
-      });
-      spare.toArray(colors.array, i * 3);
-    }
+    regions.forEach((region, i) => mixed[region].toArray(colors.array, i * 3));
     colors.needsUpdate = true;
   }
 
@@ -100,7 +91,7 @@ export class Figure extends Group {
     geometry.setAttribute("skinWeight", new BufferAttribute(weights, 4));
     geometry.setAttribute("color", new BufferAttribute(new Float32Array(points.length), 3));
     geometry.setIndex(new BufferAttribute(body.triangles, 1));
-    geometry.computeVertexNormals();
+    geometry.setAttribute("normal", new BufferAttribute(Float32Array.from(body.normals, (step) => step / 127), 3));
     const bones = Array.from({ length: count }, () => Object.assign(new Bone(), { matrixAutoUpdate: false }));
     const inverses = bones.map((_, j) => {
       const [w, x, y, z] = body.rotations.subarray(j * 4, j * 4 + 4);

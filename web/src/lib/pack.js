@@ -3,7 +3,7 @@
 /** The bytes of base64. */
 export const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 
-const KINDS = { f4: Float32Array, i2: Int16Array, u2: Uint16Array, u1: Uint8Array };
+const KINDS = { f4: Float32Array, i2: Int16Array, u2: Uint16Array, i1: Int8Array, u1: Uint8Array };
 
 /** The numbers of a packed field, or of one that is unpacked already, row by row; `shape` gives the number of rows. */
 export async function unpack(field) {
