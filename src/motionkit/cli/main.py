@@ -39,6 +39,7 @@ COMMANDS = {
     "mirror": "mirror",
     "convert": "convert",
     "trim": "trim",
+    "join": "join",
     "loop": "loop",
     "fix": "fix",
     "view": "view",
@@ -56,6 +57,8 @@ SPELLINGS = {
     "looking": "view",
     "show": "view",
     "cut": "trim",
+    "concat": "join",
+    "merge": "join",
 }
 
 

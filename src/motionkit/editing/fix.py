@@ -217,7 +217,7 @@ def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple
     raised = replace(motion, root_positions=motion.root_positions + up)
     if repairs.sliding:
         before = replace(canonical, root_positions=canonical.root_positions + up)
-        raised = _moved_like(raised, rig, before, finish(before, upright.contacts, Finish(drawn=False)))
+        raised = moved_like(raised, rig, before, finish(before, upright.contacts, Finish(drawn=False)))
     sure = all(f"{side}ToeBase" in rig.places for side in SIDES) or abs(shift) > FAR_OFF
     if repairs.floor and not sure:
         notes = (*notes, "the rig has no toes, which show where its floor is: it was left where it is")
@@ -226,7 +226,7 @@ def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple
     return raised, notes
 
 
-def _moved_like(motion: Motion, rig: RigMap, before: Motion, after: Motion) -> Motion:
+def moved_like(motion: Motion, rig: RigMap, before: Motion, after: Motion) -> Motion:
     """The rig's motion, legs turned and root moved in the world like the canonical body from before to after."""
     old, _ = motion_kinematics(before)
     new, _ = motion_kinematics(after)
