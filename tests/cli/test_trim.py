@@ -70,3 +70,19 @@ def test_a_folder_is_done_but_for_what_fails(motionkit, walk: Motion, tmp_path: 
 )
 def test_mistyped_commands_are_suggested(motionkit, typed: str, meant: str) -> None:
     assert f"did you mean {meant}?" in motionkit(typed).err
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("synthesize", "running,cartwheel"), "did you mean --types running,cartwheel?"),
+        (("retarget", "walk.bvh", "walk.bvh"), "did you mean --rig walk.bvh?"),
+        (("fix", "walk.bvh", "out.bvh"), "did you mean -o out.bvh?"),
+        (("follow-path", "walk.bvh"), "is a motion, expected a path"),
+    ],
+)
+def test_what_is_in_the_wrong_place_is_suggested(
+    motionkit, walk: Motion, words: tuple[str, ...], meant: str
+) -> None:
+    said = motionkit(*words)
+    assert said.code != 0 and meant in said.err
