@@ -20,6 +20,7 @@ from motionkit.cli.common import (
     print_json,
     say,
 )
+from motionkit.cli.folders import folders
 from motionkit.cli.outputs import default_output, naming
 from motionkit.cli.showing import open_in_browser
 from motionkit.names import counted, visible
@@ -43,9 +44,8 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
     "-o",
     "--output",
     type=PLACE,
-    callback=_ending,
     help="File to write; its ending chooses the format: .html (default, a web page that plays the motions), .png "
-    "(a contact sheet), .gif or .mp4.",
+    "(a contact sheet), .gif or .mp4. A folder if CLIPS is one.",
 )
 @click.option(
     "--path",
@@ -68,6 +68,7 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
 @animation_option
 @clip_options
 @json_option
+@folders("clips", "output", tuple(ending[1:] for ending in ENDINGS), _ending)
 def command(
     clips: tuple[Path, ...],
     output: Path | None,
@@ -79,7 +80,7 @@ def command(
     """Show BVH and skinned GLB files (CLIPS) of any rig, unit and frame rate.
 
     Without -o the command writes a web page, named after the first clip, to the current folder and opens it
-    in the browser. The page is one self-contained HTML file.
+    in the browser. The page is one self-contained HTML file. A folder is shown clip by clip, in files of --format.
     """
     from motionkit.files import check_outputs
     from motionkit.view.body import check_bones
