@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from motionkit.data.dataset import Dataset
     from motionkit.data.options import PreprocessOptions
     from motionkit.editing.fix import fix_motion
+    from motionkit.editing.join import join_motions as join
     from motionkit.editing.loop import make_loop
     from motionkit.editing.root_motion import in_place, with_ground_root
     from motionkit.errors import MotionkitError
@@ -72,6 +73,7 @@ _HOMES = {
     "Dataset": "data.dataset",
     "PreprocessOptions": "data.options",
     "fix_motion": "editing.fix",
+    "join": "editing.join:join_motions",
     "make_loop": "editing.loop",
     "in_place": "editing.root_motion",
     "with_ground_root": "editing.root_motion",
@@ -124,6 +126,7 @@ __all__ = [
     "fix_motion",
     "follow_path",
     "in_place",
+    "join",
     "kinematics",
     "load_model",
     "make_loop",

@@ -44,6 +44,12 @@ if __name__ == "__main__":
         (["evaluate", "MODEL", "DATASET", "-o", "x.md"], "lab.scoreboard.board.RealMotion"),
         (["mirror", "clips", "out"], "rig.mirror.mirror_bvh"),
         (["view", "a.bvh", "-o", "a.gif"], "view.film.Scenery"),
+        (["convert", "a.bvh", "out.glb"], "export.glb.make_figure"),
+        (["trim", "a.bvh", "-o", "out.bvh"], "motion.bvh._hierarchy_lines"),
+        (["join", "a.bvh", "a.bvh", "-o", "out.bvh"], "editing.join.join_motions"),
+        (["fix", "a.bvh", "-o", "out.bvh"], "editing.fix.fix_motion"),
+        (["loop", "a.bvh", "-o", "out.bvh"], "editing.loop.make_loop"),
+        (["retarget", "a.bvh", "-o", "out.bvh"], "rig.on_rig.read_on_any_rig"),
         (["export", "--onnx", "x.onnx", "--model", "MODEL"], "export.onnx_export.build_graph"),
     ],
 )

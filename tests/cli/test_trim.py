@@ -50,7 +50,7 @@ def test_what_is_not_there_is_refused(motionkit, walk: Motion) -> None:
     assert motionkit("trim", "walk.bvh", "--from", "five").code == 2
 
 
-@pytest.mark.parametrize("command", ["trim", "fix", "loop", "convert", "retarget"])
+@pytest.mark.parametrize("command", ["trim", "fix", "loop", "convert", "retarget", "view"])
 def test_a_folder_is_done_but_for_what_fails(motionkit, walk: Motion, tmp_path: Path, command: str) -> None:
     deep = tmp_path / "in" / "deep"
     deep.mkdir(parents=True)
@@ -58,10 +58,11 @@ def test_a_folder_is_done_but_for_what_fails(motionkit, walk: Motion, tmp_path: 
     write_motion(deep / "b.bvh", walk)
     (deep / "bad.bvh").write_text("HIERARCHY\n")
     target = ("out",) if command == "convert" else ("-o", "out")
-    said = motionkit(command, "in", *target, "--jobs", 1, "--format", "csv")
+    form = "png" if command == "view" else "csv"
+    said = motionkit(command, "in", *target, "--jobs", 1, "--format", form)
     assert said.code == 1 and "out: 2 of 3 files written" in said.out
     assert said.err.count("failed: ") == 1 and "bad.bvh" in said.err and "1 of 3 files failed" in said.err
-    assert sorted(p.name for p in (tmp_path / "out").rglob("*.*")) == ["a.csv", "b.csv"]
+    assert sorted(p.name for p in (tmp_path / "out").rglob("*.*")) == [f"a.{form}", f"b.{form}"]
     assert motionkit(command, "in", *(("in/x",) if command == "convert" else ("-o", "in/x"))).code == 2
 
 
@@ -70,3 +71,19 @@ def test_a_folder_is_done_but_for_what_fails(motionkit, walk: Motion, tmp_path: 
 )
 def test_mistyped_commands_are_suggested(motionkit, typed: str, meant: str) -> None:
     assert f"did you mean {meant}?" in motionkit(typed).err
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("synthesize", "running,cartwheel"), "did you mean --types running,cartwheel?"),
+        (("retarget", "walk.bvh", "walk.bvh"), "did you mean --rig walk.bvh?"),
+        (("fix", "walk.bvh", "out.bvh"), "did you mean -o out.bvh?"),
+        (("follow-path", "walk.bvh"), "is a motion, expected a path"),
+    ],
+)
+def test_what_is_in_the_wrong_place_is_suggested(
+    motionkit, walk: Motion, words: tuple[str, ...], meant: str
+) -> None:
+    said = motionkit(*words)
+    assert said.code != 0 and meant in said.err

@@ -268,3 +268,9 @@ def test_pipes_devices_and_huge_files_are_no_paths(tmp_path: Path) -> None:
 def test_deeply_nested_json_is_told_in_a_line(tmp_path: Path) -> None:
     with pytest.raises(ControlError, match="nested more than 50 levels deep"):
         read_path(write(tmp_path, "[" * 100_000))
+
+
+def test_tables_with_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x;z;type\n0,0;0;walking\n0,5;1,5;walking\n")
+    (tmp_path / "b.csv").write_text("x,z,type\n0.0,0,walking\n0.5,1.5,walking\n")
+    assert np.array_equal(read_path(tmp_path / "a.csv").points, read_path(tmp_path / "b.csv").points)

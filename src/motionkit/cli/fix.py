@@ -35,6 +35,11 @@ if TYPE_CHECKING:
 @switch("--trembling/--no-trembling", "Filter the trembling of markers.")
 @switch("--floor/--no-floor", "Set the floor to height zero.")
 @switch("--sliding/--no-sliding", "Hold feet still while they touch the floor.")
+@click.option(
+    "--root-from-feet",
+    is_flag=True,
+    help="Give the root a new way by the feet that stand, for captures whose root is pinned or drifts (video, Kinect).",
+)
 @animation_option
 @animation_options
 @clip_options

@@ -18,21 +18,23 @@ from motionkit.files import check_outputs, files_below
 from motionkit.names import about
 from motionkit.reading import manner, reading
 
-_folder_options = together(
-    option(
-        "--format",
-        "form",
-        default=FORMATS[0],
-        type=click.Choice(FORMATS),
-        help="Folders: format to write.",
-    ),
-    option(
-        "--jobs",
-        default=0,
-        type=click.IntRange(0, 256),
-        help="Folders: number of processes; 0 is one for each core.",
-    ),
-)
+
+def _folder_options(forms: tuple[str, ...]) -> Callable:
+    return together(
+        option(
+            "--format",
+            "form",
+            default=forms[0],
+            type=click.Choice(forms),
+            help="Folders: format to write.",
+        ),
+        option(
+            "--jobs",
+            default=0,
+            type=click.IntRange(0, 256),
+            help="Folders: number of processes; 0 is one for each core.",
+        ),
+    )
 
 
 class _Job(NamedTuple):
@@ -43,34 +45,39 @@ class _Job(NamedTuple):
     manner: dict[str, Any]
 
 
-def folders(source: str, target: str) -> Callable:
+def folders(
+    source: str, target: str, forms: tuple[str, ...] = FORMATS, check: Callable[..., Any] = checked_ending
+) -> Callable:
     """Let a command take folders; source and target name its arguments. Put this above `gathered`.
 
-    A single target is checked for its ending before any work.
+    A single target is checked for its ending, by `check`, before any work. A source may be a tuple of clips, of which
+    a folder is the only one. forms are the formats that the command writes.
     """
 
     def decorate(function: Callable) -> Callable:
-        @_folder_options
+        @_folder_options(forms)
         @functools.wraps(function)
         def whole(jobs: int, form: str, **values: Any) -> Any:
-            if values[source] is None or not values[source].is_dir():
+            given = values[source]
+            place = given[0] if isinstance(given, tuple) and len(given) == 1 else given
+            if not isinstance(place, Path) or not place.is_dir():
                 context = click.get_current_context()
                 parameter = next(each for each in context.command.params if each.name == target)
-                checked_ending(context, parameter, values[target])
+                check(context, parameter, values[target])
                 return function(**values)
-            return _run_folder(values, source, target, form, jobs)
+            return _run_folder(values, place, source, target, form, jobs)
 
         return whole
 
     return decorate
 
 
-def _run_folder(values: dict[str, Any], source: str, target: str, form: str, jobs: int) -> None:
+def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, form: str, jobs: int) -> None:
     """Run the command on every clip of a folder; raises MotionkitError at the end if some failed."""
     from motionkit.data.workers import worker_processes
     from motionkit.rig.read_file import ENDINGS, holds_motion, told_endings
 
-    folder, out = values[source], values[target]
+    out = values[target]
     if out is None or out == STDOUT:
         raise click.UsageError(f"{folder} is a folder; give a folder to write to")
     if out.resolve().is_relative_to(folder.resolve()):
@@ -83,7 +90,13 @@ def _run_folder(values: dict[str, Any], source: str, target: str, form: str, job
     module = importlib.import_module("motionkit.cli.main").COMMANDS[click.get_current_context().info_name]
     single = values | {"as_json": True, **({"view": False} if "view" in values else {})}
     items = [
-        _Job(module, single | {source: path, target: place, "jobs": 1, "form": form}, manner())
+        _Job(
+            module,
+            single
+            | {source: (path,) if isinstance(values[source], tuple) else path, target: place}
+            | {"jobs": 1, "form": form},
+            manner(),
+        )
         for path, place in zip(found, places, strict=True)
     ]
     failed: list[dict[str, Any]] = []

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from motionkit.requests import PathRequest
 
 
+FAR = 30_000.0  # cm; a longer path may have been meant in other units
+
+
 @click.command("follow-path")
 @click.argument("path")
 @output_option("File to write; a BVH file named after the path by default")
@@ -64,6 +67,11 @@ def command(path: str, types: str | None, making: Making, wanted: Wanted, **shap
     model, target = request.model, request.path
     name = f"{Path(path).stem}-{target.parts[0].type}"
     outputs = wanted.files(name, (path if is_file else None, *making.inputs))
+    if target.length > FAR:
+        metres = target.length / 100.0
+        remark(
+            f"the path is {metres:.0f} m long; paths are in metres: divide by 100 if yours is in centimetres"
+        )
     announce(request.seconds, model.fps, request.options)
     for line in other_speeds(model, target) + short_performances(model, target):
         remark(line)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import io
 import os
+import re
 import signal
 import sys
 import time
@@ -39,6 +40,7 @@ COMMANDS = {
     "mirror": "mirror",
     "convert": "convert",
     "trim": "trim",
+    "join": "join",
     "loop": "loop",
     "fix": "fix",
     "view": "view",
@@ -56,6 +58,19 @@ SPELLINGS = {
     "looking": "view",
     "show": "view",
     "cut": "trim",
+    "concat": "join",
+    "merge": "join",
+}
+
+
+# What an argument that a command does not take may have been meant for.
+MEANT = {
+    "synthesize": "--types",
+    "retarget": "--rig",
+    "follow-path": "--types",
+    "loop": "-o",
+    "trim": "-o",
+    "fix": "-o",
 }
 
 
@@ -213,6 +228,11 @@ def main() -> None:
 
 
 def _show(error: click.ClickException) -> None:
+    """Print an error as click does; an argument too many is suggested for the option that it may be meant for."""
+    extra = re.fullmatch(r"Got unexpected extra argument \((.*)\)", error.message)
+    option = MEANT.get(getattr(getattr(error, "ctx", None), "info_name", None) or "")
+    if extra and option and isinstance(error, click.UsageError):
+        error = click.UsageError(f"{error.message}; did you mean {option} {extra[1]}?", error.ctx)
     with io.StringIO() as shown:
         error.show(shown)
         for line in shown.getvalue().rstrip("\n").split("\n"):

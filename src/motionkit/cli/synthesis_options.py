@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
 
-SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean")
+UNSEEN_DEPTH = 1.0  # cm below the height of standing feet that nobody sees
+SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean", "penetration-max")
 LONG_SECONDS = 900.0  # seconds of motion; a command announces longer jobs before they begin
 
 
@@ -149,8 +150,13 @@ def motion_metrics(motion: Motion) -> dict[str, Any]:
 
 
 def metrics_line(metrics: dict[str, Any]) -> str:
-    """The metrics of one motion in one line."""
-    words = [
-        f"{i} {m['value']:.3g} {m['unit']}".strip() for i, m in metrics.items() if m["value"] is not None
-    ]
-    return "  " + ", ".join(words)
+    """What is seen of the metrics of one motion, in words; --json and `motionkit metrics` have all."""
+    words = []
+    slides, deep = (metrics.get(name, {}).get("value") for name in ("skate-ratio", "penetration-max"))
+    if slides is not None:
+        words.append(f"feet on the floor slide {100 * slides:.0f} % of the time")
+    if deep is not None:
+        words.append(
+            f"feet at most {deep:.1f} cm too low" if deep > UNSEEN_DEPTH else "nothing below the floor"
+        )
+    return "  " + "; ".join(words or ["too short to measure"])

@@ -106,7 +106,7 @@ def command(
     rate = result.frames / max(result.seconds, 1e-9)
     facts = {"roll_out_seconds": result.seconds, "frames_per_second": rate, "seed": making.seed}
     lines = [line for entry in made for line in _lines(entry, making.choice.words)]
-    lines.append(f"roll-out {result.seconds:.2f} s, {rate:.0f} frames per second")
+    lines.append(f"made in {result.seconds:.2f} s, {rate:.0f} frames per second")
     outputs.report({"motions": [entry["facts"] for entry in made], **facts}, lines)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,38 +18,18 @@ from motionkit.cli.outputs import (
     shown_name,
     view_option,
 )
+from motionkit.cli.times import Moment, Time
 from motionkit.errors import MotionkitError
-
-_TIME = re.compile(r"(\d+(?:\.\d*)?)\s*s?|(\d+)\s*f")
-
-
-class _Time(click.ParamType):
-    """A time in a clip: seconds, such as 1.5 or 1.5s, or a frame, such as 90f."""
-
-    name = "time"
-
-    def convert(
-        self, value: object, parameter: click.Parameter | None, context: click.Context | None
-    ) -> tuple[float, str]:
-        """The number and its unit, "s" or "f"."""
-        if isinstance(value, tuple):
-            return value
-        found = _TIME.fullmatch(str(value).strip())
-        if found is None:
-            self.fail(
-                f"expected seconds such as 1.5, or a frame such as 90f, found {value!r}", parameter, context
-            )
-        return (float(found[1]), "s") if found[1] else (float(found[2]), "f")
 
 
 @click.command("trim")
 @click.argument("clip", type=PLACE)
 @clip_output_option("trimmed")
 @click.option(
-    "--from", "start", type=_Time(), default="0", help="First moment kept: seconds, or a frame such as 90f."
+    "--from", "start", type=Time(), default="0", help="First moment kept: seconds, or a frame such as 90f."
 )
 @click.option(
-    "--to", "end", type=_Time(), help="End, which is not kept: seconds or a frame; that of CLIP by default."
+    "--to", "end", type=Time(), help="End, which is not kept: seconds or a frame; that of CLIP by default."
 )
 @click.option("--moving", is_flag=True, help="Also cut off what stands still at both ends.")
 @click.option(
@@ -66,8 +45,8 @@ class _Time(click.ParamType):
 @gathered("wanted", Wanted)
 def command(
     clip: Path,
-    start: tuple[float, str],
-    end: tuple[float, str] | None,
+    start: Moment,
+    end: Moment | None,
     moving: bool,
     speed: float | None,
     fps: float | None,
@@ -84,8 +63,7 @@ def command(
     source = read_clip(clip)
     motion = source.motion
     first, last = (
-        len(motion) if at is None else round(at[0] if at[1] == "f" else at[0] * motion.fps)
-        for at in (start, end)
+        len(motion) if at is None else round(at.seconds(motion.fps) * motion.fps) for at in (start, end)
     )
     if not first < min(last, len(motion)):
         raise MotionkitError(

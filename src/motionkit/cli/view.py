@@ -22,6 +22,7 @@ from motionkit.cli.common import (
     print_json,
     say,
 )
+from motionkit.cli.folders import folders
 from motionkit.cli.outputs import body_option, default_output, naming
 from motionkit.cli.rig_options import RIG_FILE, RigChoice, open_rig
 from motionkit.cli.showing import open_in_browser
@@ -51,9 +52,8 @@ def _open_rig(rig_path: Path | None) -> RigChoice:
     "-o",
     "--output",
     type=PLACE,
-    callback=_ending,
     help="File to write; its ending chooses the format: .html (default, a web page that plays the motions), .png "
-    "(a contact sheet), .gif or .mp4.",
+    "(a contact sheet), .gif or .mp4. A folder if CLIPS is one.",
 )
 @click.option(
     "--rig",
@@ -84,6 +84,7 @@ def _open_rig(rig_path: Path | None) -> RigChoice:
 @animation_option
 @clip_options
 @json_option
+@folders("clips", "output", tuple(ending[1:] for ending in ENDINGS), _ending)
 @gathered("choice", _open_rig)
 def command(
     clips: tuple[Path, ...],
@@ -98,7 +99,8 @@ def command(
     """Show CLIPS (.bvh, .amc, .npz, .glb, .vrm, .fbx) of any rig, unit and frame rate.
 
     Without -o the command writes a web page, named after the first clip, to the current folder and opens it
-    in the browser. The page is one self-contained HTML file, with the character of a GLB or VRM in it.
+    in the browser. The page is one self-contained HTML file, with the character of a GLB or VRM in it. A folder is
+    shown clip by clip, in files of --format.
     """
     from motionkit.files import check_outputs
     from motionkit.view.write import write_shown

@@ -243,6 +243,9 @@ def check_shape_options(types: Any, size: float | None, speed: float | None) -> 
 # ---- files ----
 
 
+CLIPS = (".bvh", ".glb", ".vrm")  # endings of motions, which people take for paths
+
+
 def read_path(file: str | Path) -> Path2D:
     """Read a path from JSON or CSV, in metres and metres per second.
 
@@ -254,6 +257,8 @@ def read_path(file: str | Path) -> Path2D:
         ControlError: naming the file and the part or line that is wrong.
     """
     file = Path(file)
+    if file.suffix.lower() in CLIPS:
+        raise ControlError(f"{file}: is a motion, expected a path: a JSON or CSV file, or a named shape")
     text = read_text(file, "a path", ControlError)
     parts = _csv_parts(file, text) if file.suffix.lower() == ".csv" else _json_parts(file, text)
     try:
@@ -317,7 +322,10 @@ def _part(where: str, points: list, kind: str, speed: float | None, stop: float)
 
 
 def _csv_parts(file: Path, text: str) -> list[PathPart]:
-    reader = csv.DictReader(text.splitlines())
+    lines = text.splitlines()
+    # Spreadsheets of some countries write semicolons, and commas in numbers.
+    semicolons = bool(lines) and ";" in lines[0] and "," not in lines[0]
+    reader = csv.DictReader(lines, delimiter=";" if semicolons else ",")
     groups: list[tuple[str, float | None, list[list[float]]]] = []
     stops: list[float] = []
     try:
@@ -339,11 +347,15 @@ def _csv_parts(file: Path, text: str) -> list[PathPart]:
     ]
 
 
+def _csv_number(text: str) -> float:
+    return float(text.replace(",", "."))
+
+
 def _csv_row(where: str, row: dict[str, str]) -> tuple[str, float | None, float, list[float]]:
     try:
-        point = [float(row["x"]), float(row["z"])]
-        speed, stop = (float(row[n]) if (row.get(n) or "").strip() else None for n in ("speed", "stop"))
-    except (TypeError, ValueError):
+        point = [_csv_number(row["x"]), _csv_number(row["z"])]
+        speed, stop = (_csv_number(row[n]) if (row.get(n) or "").strip() else None for n in ("speed", "stop"))
+    except (AttributeError, TypeError, ValueError):
         raise ControlError(f"{where}: expected numbers for x, z, speed and stop") from None
     if not all(abs(v) <= MAX_COORDINATE for v in (*point, speed or 0.0, stop or 0.0)):
         raise ControlError(f"{where}: expected finite numbers up to {MAX_COORDINATE:,.0f}")

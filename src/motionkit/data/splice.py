@@ -15,7 +15,8 @@ import numpy as np
 from motionkit.arrays import Array, lerp
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.features.encode import encode_motion
-from motionkit.finish.feet import lock_feet, locked_spans
+from motionkit.finish.feet import contacts_around, lock_feet
+from motionkit.motion.inertialize import continued, decay_curves
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -100,9 +101,7 @@ def splice_clips(
     )
     contacts = np.concatenate([a.contacts[a_start : i + 1], b.contacts[j + 1 : b_end]])
     join = i + 1 - a_start
-    motion = lock_feet(
-        motion, _contacts_around(contacts, join, min(join + decay, len(contacts)), dataset.fps)
-    )
+    motion = lock_feet(motion, contacts_around(contacts, join, min(join + decay, len(contacts)), dataset.fps))
     encoded = encode_motion(motion, dataset.reference_rotations, dataset.layout.version)
     types = np.concatenate([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
     phases = np.concatenate([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
@@ -124,7 +123,7 @@ def _after_pause(piece: Piece, pause: int, reference: Array) -> Piece:
     # Distance to the first frame, in units of the first frame's step. `ahead` is for the root on the ground. `back` is
     # for height and joints, which leave the first pose and return to it.
     ahead = np.append(np.cumsum(share[:0:-1])[::-1], 0.0)[:, None] + 1.0
-    back = _decay_curves(to_come, float(pause))[1]
+    back = decay_curves(to_come, float(pause))[1]
 
     def led(values: Array) -> Array:
         return np.concatenate([np.repeat(values[:1], held, axis=0), values])
@@ -148,16 +147,6 @@ def _after_pause(piece: Piece, pause: int, reference: Array) -> Piece:
         phases,
         shown,
     )
-
-
-def _contacts_around(contacts: Array, start: int, end: int, fps: float) -> Array:
-    """Contacts (T, 4) that overlap frames start to end; all others are zero, so that recorded frames stay unlocked."""
-    out = np.zeros_like(contacts)
-    for foot in (slice(0, 2), slice(2, 4)):
-        for first, last in locked_spans(contacts[:, foot], fps):
-            if first < end and start < last:
-                out[first:last, foot] = contacts[first:last, foot]
-    return out
 
 
 def cut_piece(dataset: Dataset, clip: Clip, start: int, end: int) -> Piece:
@@ -213,30 +202,9 @@ def join_pieces(a: Piece, b: Piece, i: int, j: int, decay: int) -> Piece:
     The difference in pose and velocity at the join decays over `decay` frames.
     """
     turn = a.ground[i, 2] - b.ground[j, 2]
-    yaw = quat_from_yaw(turn)
-    rotations = b.motion.local_rotations.copy()
-    rotations[:, 0] = quat_multiply(yaw, rotations[:, 0])
-    root = b.motion.root_positions.copy()
-    root[:, [0, 2]] = (
-        rotate_ground(turn, root[:, [0, 2]] - root[j, [0, 2]]) + a.motion.root_positions[i, [0, 2]]
-    )
-
-    frames = len(b.motion) - j - 1
-    time = np.arange(1, frames + 1, dtype=np.float32)
-    offset_weight, velocity_weight = _decay_curves(time, float(decay))
-    here, there = a.motion.local_rotations[i], rotations[j]
-    offset = quat_to_expmap(quat_multiply(here, quat_inverse(there)))
-    speed_a = quat_to_expmap(quat_multiply(here, quat_inverse(a.motion.local_rotations[i - 1])))
-    speed_b = quat_to_expmap(quat_multiply(there, quat_inverse(rotations[j - 1])))
-    correction = offset_weight[:, None, None] * offset + velocity_weight[:, None, None] * (speed_a - speed_b)
-    rotations_out = quat_multiply(expmap_to_quat(correction), rotations[j + 1 :])
-
-    root_offset = a.motion.root_positions[i] - root[j]
-    root_speed = (a.motion.root_positions[i] - a.motion.root_positions[i - 1]) - (root[j] - root[j - 1])
-    root_out = root[j + 1 :] + offset_weight[:, None] * root_offset + velocity_weight[:, None] * root_speed
     way = rotate_ground(turn, b.ground[j + 1 :, :2] - b.ground[j, :2]) + a.ground[i, :2]
     return Piece(
-        Motion(b.motion.skeleton, rotations_out, root_out, b.motion.fps),
+        continued(a.motion, i, b.motion, j, turn, decay),
         np.concatenate([way, b.ground[j + 1 :, 2:] + turn], axis=1),
         b.positions[j + 1 :],
         b.velocities[j + 1 :],
@@ -245,11 +213,3 @@ def join_pieces(a: Piece, b: Piece, i: int, j: int, decay: int) -> Piece:
         b.phases[j + 1 :],
         b.reference[j + 1 :],
     )
-
-
-def _decay_curves(time: Array, decay: float) -> tuple[Array, Array]:
-    """Weights (T,) of the differences in pose and velocity; weights and slopes reach zero after `decay` frames."""
-    x = np.minimum(time / decay, 1.0)
-    offset = 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-    velocity = decay * (x - x**3 * (6.0 - 8.0 * x + 3.0 * x**2))
-    return offset, velocity

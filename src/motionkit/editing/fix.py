@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.cleaning import Limb, mend
 from motionkit.data.smoothing import smooth, smooth_rotations, window_at
+from motionkit.editing.root_from_feet import root_from_feet
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.finish.finish import Finish, finish
 from motionkit.metrics.report import evaluate_motion
@@ -25,6 +27,7 @@ from motionkit.motion.rotations import quat_continuous, quat_inverse, quat_multi
 from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
 from motionkit.names import counted
 from motionkit.rig.names import RigMap, map_rig
+from motionkit.rig.up_axis import up_axis, up_name
 from motionkit.rig.upright import Upright, relative_rotation
 
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
@@ -40,20 +43,26 @@ MEASURED: dict[str, str] = {
 PASSES = 8  # most passes over glitches; each may uncover others
 # cm/s, and cm besides, that a root moves at most between two frames; further leaps are spikes, or frames elsewhere.
 FASTEST_ROOT, ROOT_SLACK = 2000.0, 50.0
-# Share, and cm, by which a step may raise what it is to lower; else it is taken back.
-WORSE_SHARE, WORSE_CM = 1.05, 0.02
+# Share, and amount besides, by which a step may raise a measure; else it is taken back.
+WORSE_SHARE = 1.05
+WORSE = {"jerk": 0.02, "afs": 0.02, "floor": 0.02}
+SETTLED = 1.0  # cm that feet may be off their height before floor and feet are repaired once more
 FAR_OFF = 15.0  # cm; without toes the floor is uncertain, so it is moved only if it is further off than this
 
 
 @dataclass(frozen=True)
 class Repairs:
-    """Which repairs to make; strength is the width of the filter against trembling, as a share of the usual one."""
+    """Which repairs to make; strength is the width of the filter against trembling, as a share of the usual one.
+
+    root_from_feet gives the root a new way, by the feet that stand (editing/root_from_feet.py).
+    """
 
     glitches: bool = True
     trembling: bool = True
     floor: bool = True
     sliding: bool = True
     strength: float = 1.0
+    root_from_feet: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,20 +113,14 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         made, spikes = _without_spikes(made)
         notes += [f"the root leaps away in {counted(spikes, 'frame')}: bridged"] if spikes else []
         made, glitches = _mended(made, limbs)
-    steps: list[tuple[bool, str, Callable[[Motion], tuple[Motion, tuple[str, ...]]], str]] = [
-        (repairs.trembling, "trembling", lambda motion: (_steadied(motion, repairs.strength), ()), "jerk"),
-        (repairs.floor, "floor", lambda motion: _on_the_floor(motion, rig, Repairs(sliding=False)), "floor"),
-        (repairs.sliding, "sliding", lambda motion: _on_the_floor(motion, rig, Repairs(floor=False)), "afs"),
-    ]
-    for wanted, name, step, metric in steps:
-        if not wanted:
-            continue
-        tried, told = step(made)
-        before, after = _cost(made, metric), _cost(tried, metric)
-        if before is not None and after is not None and after > WORSE_SHARE * before + WORSE_CM:
-            notes.append(f"{name}: taken back, because it made it worse ({before:.3g} to {after:.3g})")
-            continue
-        made, notes = tried, [*notes, *told]
+    for _ in range(PASSES):
+        shown = made
+        for step in _steps(repairs, rig):
+            made, told = _tried(made, step, source.motion)
+            notes += told
+        if made is shown or not repairs.floor or _off_the_floor(made) < SETTLED:
+            break
+        repairs = replace(repairs, trembling=False, root_from_feet=False)
     left = mend(made, limbs)[1]
     table = _table(source, Upright(made), (float(len(found)), float(len(left))))
     return Fixed(source.back(made), table, tuple(glitches), tuple(dict.fromkeys(notes)))
@@ -158,19 +161,74 @@ def _without_spikes(motion: Motion) -> tuple[Motion, int]:
     return replace(motion, root_positions=roots.astype(motion.root_positions.dtype)), len(away)
 
 
-def _cost(motion: Motion, metric: str) -> float | None:
-    """What a step is to lower, by the table's own measures: jerk, sliding, or feet off their height and below zero."""
+class _Step(NamedTuple):
+    """A repair: its name, the measure that it is to lower, and what it does to a motion."""
+
+    name: str
+    measure: str
+    make: Callable[[Motion], tuple[Motion, tuple[str, ...]]]
+
+
+def _steps(repairs: Repairs, rig: RigMap | None) -> list[_Step]:
+    """The wanted repairs after those of glitches, in order."""
+    steps = [
+        (
+            repairs.trembling,
+            _Step("trembling", "jerk", lambda motion: (_steadied(motion, repairs.strength), ())),
+        ),
+        (repairs.root_from_feet, _Step("root from feet", "afs", _with_root_from_feet)),
+        (
+            repairs.floor,
+            _Step("floor", "floor", lambda motion: _on_the_floor(motion, rig, Repairs(sliding=False))),
+        ),
+        (
+            repairs.sliding,
+            _Step("sliding", "afs", lambda motion: _on_the_floor(motion, rig, Repairs(floor=False))),
+        ),
+    ]
+    return [step for wanted, step in steps if wanted]
+
+
+def _tried(made: Motion, step: _Step, source: Motion) -> tuple[Motion, list[str]]:
+    """The motion after a step, and notes; without the step if it makes anything worse.
+
+    What a step is to lower may not rise, and feet may not slide more than in the source. Jerk may rise, because feet
+    that are held stop.
+    """
+    tried, told = step.make(made)
+    if tried is made:
+        return made, list(told)
+    was, now, first = _costs(made), _costs(tried), _costs(source)
+    for name, slack in WORSE.items():
+        if name not in (step.measure, "afs"):
+            continue
+        before = was.get(name) if name == step.measure else max(was.get(name, 0.0), first.get(name, np.inf))
+        if before is not None and now.get(name, 0.0) > WORSE_SHARE * before + slack:
+            why = f"{MEASURED.get(name, name)} {before:.3g} to {now[name]:.3g}"
+            return made, [f"{step.name}: taken back, because it made it worse ({why})"]
+    axes = [up_axis(motion_kinematics(each)[1], each.skeleton) for each in (made, tried)]
+    if axes[1][1] < 1.0 <= axes[0][1]:
+        return made, [f"{step.name}: taken back, because {up_name(axes[1])} would then seem to be up"]
+    return tried, list(told)
+
+
+def _costs(motion: Motion) -> dict[str, float]:
+    """The measures of WORSE, as far as they can be taken; floor is how far feet are off their height, or below zero."""
     canonical = Upright(motion).canonical
     if canonical is None:
-        return _jerk(motion) if metric == "jerk" else None
+        jerk = _jerk(motion)
+        return {} if jerk is None else {"jerk": jerk}
     try:
         report = evaluate_motion(canonical)
     except MotionkitError:
-        return None
-    if metric != "floor":
-        return report.value(metric)
-    height, depth = report.value("floor-height"), report.value("penetration-max")
-    return None if height is None or depth is None else max(abs(height - STANDING_HEIGHTS[1]), depth)
+        return {}
+    found = {name: report.value(name) for name in ("jerk", "afs", "floor-height", "penetration-max")}
+    out = {name: value for name, value in found.items() if value is not None}
+    if "floor-height" in out:
+        out["floor"] = abs(out.pop("floor-height") - STANDING_HEIGHTS[1])
+    if {"floor", "penetration-max"} <= out.keys():
+        out["floor"] = max(out["floor"], out["penetration-max"])
+    return out
 
 
 def _rig(motion: Motion) -> RigMap | None:
@@ -206,6 +264,27 @@ def _steadied(motion: Motion, strength: float) -> Motion:
     )
 
 
+def _off_the_floor(motion: Motion) -> float:
+    """How far in cm standing feet are off their height."""
+    canonical = Upright(motion).canonical
+    return 0.0 if canonical is None else abs(floor_shift(canonical)[0])
+
+
+def _with_root_from_feet(motion: Motion) -> tuple[Motion, tuple[str, ...]]:
+    """The motion with the root where its standing feet say, and notes."""
+    canonical = Upright(motion).canonical
+    if canonical is None:
+        return motion, ("the rig is not a known human one: its root was left as it is",)
+    made = root_from_feet(canonical)
+    was, goes = (
+        np.linalg.norm(np.diff(each.root_positions[:, ::2], axis=0), axis=1).sum() / 100.0
+        for each in (canonical, made)
+    )
+    shift = made.root_positions - canonical.root_positions
+    note = f"root from feet: it goes {goes:.2f} m over the ground, before {was:.2f} m"
+    return replace(motion, root_positions=motion.root_positions + shift), (note,)
+
+
 def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple[Motion, tuple[str, ...]]:
     """The motion with its floor at zero and feet locked during contacts, and notes."""
     upright = Upright(motion)
@@ -217,7 +296,7 @@ def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple
     raised = replace(motion, root_positions=motion.root_positions + up)
     if repairs.sliding:
         before = replace(canonical, root_positions=canonical.root_positions + up)
-        raised = _moved_like(raised, rig, before, finish(before, upright.contacts, Finish(drawn=False)))
+        raised = moved_like(raised, rig, before, finish(before, upright.contacts, Finish(drawn=False)))
     sure = all(f"{side}ToeBase" in rig.places for side in SIDES) or abs(shift) > FAR_OFF
     if repairs.floor and not sure:
         notes = (*notes, "the rig has no toes, which show where its floor is: it was left where it is")
@@ -226,7 +305,7 @@ def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple
     return raised, notes
 
 
-def _moved_like(motion: Motion, rig: RigMap, before: Motion, after: Motion) -> Motion:
+def moved_like(motion: Motion, rig: RigMap, before: Motion, after: Motion) -> Motion:
     """The rig's motion, legs turned and root moved in the world like the canonical body from before to after."""
     old, _ = motion_kinematics(before)
     new, _ = motion_kinematics(after)

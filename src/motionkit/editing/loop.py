@@ -240,7 +240,7 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
         raise MotionkitError(
             f"the clip lasts {frames / fps:.2g} s, expected more than {SHORTEST:g} s to find a cycle in"
         )
-    rows = _rows(upright)
+    rows = pose_rows(upright)
     stride = max(1, -(-frames // COARSE))
     every = np.arange(0, frames, stride)
     apart = distances_between(rows[every], rows[every])
@@ -272,7 +272,7 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
     return start, end, difference
 
 
-def _rows(upright: Upright) -> Array:
+def pose_rows(upright: Upright) -> Array:
     """Poses, velocities and contacts (T, C), scaled so that the distance of two rows is a mean over joints in cm."""
     poses = upright.facing_positions.astype(np.float64)
     frames, joints = poses.shape[:2]

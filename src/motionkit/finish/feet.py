@@ -96,6 +96,16 @@ def locked_spans(contacts: Array, fps: float = RATE) -> list[Span]:
     return spans
 
 
+def contacts_around(contacts: Array, start: int, end: int, fps: float) -> Array:
+    """Contacts (T, 4) that overlap frames start to end; all others are zero, so that recorded frames stay unlocked."""
+    out = np.zeros_like(contacts)
+    for foot in (slice(0, 2), slice(2, 4)):
+        for first, last in locked_spans(contacts[:, foot], fps):
+            if first < end and start < last:
+                out[first:last, foot] = contacts[first:last, foot]
+    return out
+
+
 def _still_spans(
     place: Array, spans: list[Span], fps: float, taken: list[Span]
 ) -> tuple[list[Span], list[Span]]:

@@ -119,6 +119,20 @@ def mirrored_name(name: str) -> str:
     return name
 
 
+_SPOKEN = {
+    "UpLeg": "hip", "Leg": "knee", "Foot": "ankle", "ToeBase": "toes", "Shoulder": "collar", "Arm": "shoulder",
+    "ForeArm": "elbow", "Hand": "wrist",
+}  # fmt: skip
+
+
+def spoken(name: str) -> str:
+    """A canonical joint in words, such as "left knee"; other names stay."""
+    for side in ("Left", "Right"):
+        if name.removeprefix(side) in _SPOKEN and name != name.removeprefix(side):
+            return f"{side.lower()} {_SPOKEN[name.removeprefix(side)]}"
+    return name.lower() if name in JOINT_NAMES else name
+
+
 # The index of each canonical joint's twin on the other side.
 MIRROR_JOINTS: tuple[int, ...] = tuple(JOINT_NAMES.index(mirrored_name(name)) for name in JOINT_NAMES)
 

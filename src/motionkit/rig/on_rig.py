@@ -84,9 +84,14 @@ def read_motion(
         motion, report = retarget(bvh, scale, rig=rig)
     except SkeletonError as error:
         raise SkeletonError(f"{path}: {error}") from None
+    return on_the_floor(motion), report
+
+
+def on_the_floor(motion: Motion) -> Motion:
+    """A motion on the canonical joints, moved up or down so that its standing toes are at their height."""
     floor = floor_height(foot_positions(canonical_places(motion)), motion.fps)
     up = np.array([0.0, STANDING_HEIGHTS[1] - floor, 0.0], motion.root_positions.dtype)
-    return replace(motion, root_positions=motion.root_positions + up), report
+    return replace(motion, root_positions=motion.root_positions + up)
 
 
 def read_on_any_rig(
