@@ -46,6 +46,8 @@ export class Play {
     this.theme = initialTheme();
     this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.22, 4.4 * Math.max(1, 0.75 / this.stage.camera.aspect));
     $("figures").hidden ||= matchMedia("(max-width: 700px), (max-height: 480px)").matches; // on a small screen they would hide the body
+    const head = $("tools").parentElement; // tools in two rows push down what lies below
+    new ResizeObserver(() => head.parentElement.style.setProperty("--head", `${head.offsetHeight}px`)).observe(head);
     this.#marker();
     this.#keys();
     this.#mouse();
