@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -203,7 +204,10 @@ def test_more_than_memory_holds_is_refused_before_it_is_asked_for(
     part = {"type": "cartwheel", "speed": 0.05, "points": [[0, 0], [0, 9999.99]]}
     (home / "far.json").write_text(json.dumps({"parts": [part]}))
     before = contents(home)
-    assert motionkit(*words, "--model", "m.safetensors").failed_with(complaint)
+    refused = motionkit(*words, "--model", "m.safetensors")
+    notes = refused.err.splitlines()[:-1]
+    assert replace(refused, err=refused.err.splitlines()[-1]).failed_with(complaint)
+    assert all("paths are in metres" in note for note in notes)
     assert contents(home) == before
 
 
@@ -226,6 +230,7 @@ def test_long_work_says_so_before_it_begins(motionkit, home: Path, monkeypatch: 
     monkeypatch.setattr("motionkit.control.follow.follow_path", refuse)
     said = motionkit("follow-path", "far.json", "--model", "m.safetensors")
     assert said.err.splitlines() == [
+        "the path is 5000 m long; paths are in metres: divide by 100 if yours is in centimetres",
         "making 1.4 hours of motion, which can take minutes; Ctrl-C stops", "error: the work",
     ]  # fmt: skip
     assert motionkit("follow-path", "line", "--model", "m.safetensors").err == "error: the work\n"
