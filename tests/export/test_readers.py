@@ -34,6 +34,7 @@ from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.reading import reading
 from motionkit.rig.gltf import GltfDocument
 from motionkit.rig.on_rig import read_rig
+from motionkit.view.surface import REGIONS
 from synthetic_motions import make_cartwheel, make_walk
 from view.conftest import browser, open_page  # noqa: F401
 
@@ -185,7 +186,7 @@ def page(node: str, open_page: Callable[..., Any], tmp_path_factory: pytest.Temp
 
 def test_three_js_plays_a_glb(page: Any, files: Path, place: Array, motion: Motion) -> None:
     found = page.evaluate("(file) => checks.open(file)", text_of(files / "a.glb"))
-    assert found["bones"] == len(motion.skeleton) and found["skinned"] == 5
+    assert found["bones"] == len(motion.skeleton) and found["skinned"] == len(REGIONS)
     assert found["duration"] == pytest.approx((len(motion) - 1) / 60, abs=1e-4)
     (at,) = page.evaluate("([time, names]) => checks.places(time, names)", [SECONDS, [JOINT]])
     assert at == pytest.approx(place, abs=1e-3)
@@ -198,7 +199,7 @@ def test_three_js_moves_the_users_own_mesh(page: Any, tmp_path: Path) -> None:
     made = on_rig(make_walk(120), rig)
     write_motion(tmp_path / "out.glb", rig_clip(made, rig, "walk"))
     found = page.evaluate("(file) => checks.open(file)", text_of(tmp_path / "out.glb"))
-    assert found["skinned"] == 5 and found["duration"] == pytest.approx(119 / 60, abs=1e-4)
+    assert found["skinned"] == len(REGIONS) and found["duration"] == pytest.approx(119 / 60, abs=1e-4)
     names = ["LeftToeBase", "RightHand"]
     wanted = motion_kinematics(made)[1][:, [rig.skeleton.names.index(name) for name in names]]
     for frame in (0, 30, 77):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
@@ -36,4 +37,4 @@ def command(output: Path, model_path: Path | None, reference: str, force: bool, 
         print_json({"folder": output, "bytes": sizes})
         return
     say(f"{output}: {sum(sizes.values()) / 1e6:.1f} MB")
-    remark(f"to look at it: python -m http.server --directory {output}")
+    remark(f"to look at it: python -m http.server --directory {shlex.quote(str(output))}")

@@ -45,6 +45,11 @@ class _Job(NamedTuple):
     manner: dict[str, Any]
 
 
+FILES = tuple(
+    f".{form}" for form in (*FORMATS, "html", "png", "gif", "mp4")
+)  # endings of a file, not a folder
+
+
 def folders(
     source: str, target: str, forms: tuple[str, ...] = FORMATS, check: Callable[..., Any] = checked_ending
 ) -> Callable:
@@ -80,6 +85,8 @@ def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, 
     out = values[target]
     if out is None or out == STDOUT:
         raise click.UsageError(f"{folder} is a folder; give a folder to write to")
+    if out.suffix.lower() in FILES and not out.is_dir():
+        raise click.UsageError(f"{folder} is a folder; expected a folder to write to, found {out.name!r}")
     if out.resolve().is_relative_to(folder.resolve()):
         raise OverwriteError(f"{out}: is inside the input folder {folder}; choose another output folder")
     found = sorted(path for ending in ENDINGS for path in files_below(folder, ending) if holds_motion(path))

@@ -18,6 +18,7 @@ from motionkit.data.smoothing import smooth, smooth_rotations, window_at
 from motionkit.editing.root_from_feet import root_from_feet
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.finish.finish import Finish, finish
+from motionkit.metrics.body_movement import geodesic_movement
 from motionkit.metrics.report import evaluate_motion
 from motionkit.metrics.smoothness import mean_jerk
 from motionkit.motion.floor import floor_shift
@@ -43,6 +44,9 @@ MEASURED: dict[str, str] = {
 PASSES = 8  # most passes over glitches; each may uncover others
 # cm/s, and cm besides, that a root moves at most between two frames; further leaps are spikes, or frames elsewhere.
 FASTEST_ROOT, ROOT_SLACK = 2000.0, 50.0
+# Most frames at the start of a clip that are apart from it, and the mean turn of the joints (degrees) out of them: at
+# least, and relative to the median of the steps after. Rest poses at the start of clips turn by 13 and more; measured.
+MOST_APART, APART, APART_SHARE = 3, 10.0, 8.0
 # Share, and amount besides, by which a step may raise a measure; else it is taken back.
 WORSE_SHARE = 1.05
 WORSE = {"jerk": 0.02, "afs": 0.02, "floor": 0.02}
@@ -103,6 +107,11 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         raise MotionkitError(f"expected at least 2 frames to repair, found {len(motion)}")
     if not motion.skeleton.offsets[1:].any() and motion.local_positions is None:
         raise SkeletonError("all bones have zero length, expected a rig")
+    if first := _apart(motion):
+        fixed = fix_motion(motion.cut(first, len(motion)), repairs)
+        note = f"the clip begins with {counted(first, 'frame')} apart from the rest, such as a rest pose: left as it is"
+        shifted = tuple((frame + first, joint) for frame, joint in fixed.glitches)
+        return Fixed(_joined(motion.cut(0, first), fixed.motion), fixed.table, shifted, (note, *fixed.notes))
     source = Upright.of(motion)
     made, rig = source.motion, _rig(source.motion)
     limbs = _limbs(made, rig)
@@ -124,6 +133,30 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
     left = mend(made, limbs)[1]
     table = _table(source, Upright(made), (float(len(found)), float(len(left))))
     return Fixed(source.back(made), table, tuple(glitches), tuple(dict.fromkeys(notes)))
+
+
+def _apart(motion: Motion) -> int:
+    """Number of frames at the start, at most MOST_APART, from which the whole body leaps into the rest of the clip."""
+    if len(motion) < 4 * MOST_APART:
+        return 0
+    steps = geodesic_movement(motion.local_rotations[: 4 * MOST_APART + 1])
+    steps = steps.mean(axis=1) if steps.ndim > 1 else steps
+    usual = float(np.median(steps[MOST_APART:]))
+    leaps = np.flatnonzero(steps[:MOST_APART] > np.maximum(APART, APART_SHARE * usual))
+    return int(leaps[-1]) + 1 if leaps.size else 0
+
+
+def _joined(first: Motion, second: Motion) -> Motion:
+    """Two stretches of one motion, one after the other."""
+    local = None
+    if second.local_positions is not None and first.local_positions is not None:
+        local = np.concatenate([first.local_positions, second.local_positions])
+    return replace(
+        second,
+        local_rotations=np.concatenate([first.local_rotations, second.local_rotations]),
+        root_positions=np.concatenate([first.root_positions, second.root_positions]),
+        local_positions=local,
+    )
 
 
 def _mended(motion: Motion, limbs: list[Limb]) -> tuple[Motion, list[tuple[int, str]]]:

@@ -13,7 +13,7 @@ from motionkit.motion.frame_rate import nominal_rate
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import matrix_to_quat, quat_normalize, quat_slerp, quat_to_matrix
 from motionkit.names import visible
-from motionkit.reading import ALL, told_animation
+from motionkit.reading import ALL, tell, told_animation
 from motionkit.rig.character import Character, nearest_rotations, read_character
 from motionkit.rig.gltf import GltfFile
 
@@ -119,6 +119,12 @@ def _animation(file: GltfFile, clip: str | None) -> tuple[str, dict[str, Any]]:
     told = ", ".join(f"{visible(name)} ({seconds:.2f} s)" for name, seconds in clips)
     if not clips:
         raise file.fault("has no animation; as a rig it can be given with --rig")
+    asked = told_animation()
+    if len(clips) == 1 and asked not in (None, ALL, clips[0][0]):
+        tell(
+            file.path,
+            (f"its only animation, {visible(clips[0][0])}, for it has none called {visible(str(asked))}",),
+        )
     if clip is None and len(clips) > 1:
         raise file.fault(f"has {len(clips)} animations, choose one with --clip: {told}")
     found = [i for i, (name, _) in enumerate(clips) if clip in (None, name)]
