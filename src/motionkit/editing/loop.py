@@ -219,11 +219,13 @@ def _cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, fl
     try:
         return find_cycle(upright, seconds)
     except MotionkitError:
+        if len(upright.motion) < 3:
+            raise
         ends = upright.positions if upright.canonical is None else upright.facing_positions
         apart = np.linalg.norm(ends[-1] - ends[0], axis=-1)
         moves = float(np.ptp(ends, axis=0).max()) > CLOSED
         step = float(np.median(np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1)))
-        if len(ends) < 3 or not moves or apart.max() > max(CLOSED, CLOSED_STEP * step):
+        if not moves or apart.max() > max(CLOSED, CLOSED_STEP * step):
             raise
         return 0, len(ends) - 1, float(apart.mean())
 

@@ -35,8 +35,12 @@ INSTEAD: dict[str, str] = {
 
 
 def check_ending(path: str | Path) -> None:
-    """Raise MotionkitError unless a file to write has an ending in WRITERS."""
+    """Raise MotionkitError unless a file to write has an ending in WRITERS, and what its format needs is installed."""
     _find(path)
+    if Path(path).suffix.lower() == ".fbx":
+        from motionkit.rig.fbx import check_writes
+
+        check_writes(path)
 
 
 def write_motion(path: str | Path, motion: Motion | Clip) -> None:

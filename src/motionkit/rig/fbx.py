@@ -77,12 +77,19 @@ def fbx_of_glb(path: str | Path, glb: Path, made: Path, fps: float) -> None:
     Raises:
         MotionkitError: there is no Blender, or it made nothing.
     """
-    fault = WAYS_TO_WRITE
+    check_writes(path)
+    fault = ""
     for way in _blenders():
         fault = _run(way, (str(glb), str(made), repr(fps)), made)
         if not fault:
             return
-    raise MotionkitError(f"{path}: an FBX file {fault}" if fault == WAYS_TO_WRITE else f"{path}: {fault}")
+    raise MotionkitError(f"{path}: {fault}")
+
+
+def check_writes(path: str | Path) -> None:
+    """Raise MotionkitError, naming the file to write, if nothing that writes FBX is installed."""
+    if next(_blenders(), None) is None:
+        raise MotionkitError(f"{path}: an FBX file {WAYS_TO_WRITE}")
 
 
 def _blenders() -> Iterator[_Way]:

@@ -140,6 +140,7 @@ class GltfFile:
         self.json: dict[str, Any] = parse_json(self.text, path)
         if not isinstance(self.json, dict):
             raise self.fault("its JSON chunk is no object")
+        self._checked: set[str] = set()
         self.chunks = chunks[1:]
         self.data = dict(reversed(self.chunks)).get(BIN_CHUNK, b"")
 
@@ -155,8 +156,12 @@ class GltfFile:
     def items(self, kind: str) -> list[dict[str, Any]]:
         """One of the lists of objects of the JSON, such as "nodes"; empty if absent."""
         found = self.json.get(kind, [])
-        if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
-            raise self.fault(f"{kind} is no list of objects")
+        if (
+            kind not in self._checked
+        ):  # each list once: files with fifty animations refer to thousands of accessors
+            if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
+                raise self.fault(f"{kind} is no list of objects")
+            self._checked.add(kind)
         return found
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
