@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -87,6 +88,31 @@ def test_text_that_is_not_utf8_is_told_with_its_line(tmp_path: Path) -> None:
         read_text(tmp_path / "t")
     (tmp_path / "t").write_bytes(b"\xef\xbb\xbfone")
     assert read_text(tmp_path / "t") == "one"
+
+
+def test_a_small_file_takes_little_memory_whatever_the_limit(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")
+    tracemalloc.start()
+    try:
+        assert read_bytes(tmp_path / "a", 2**28) == b"abc"
+        assert tracemalloc.get_traced_memory()[1] < ONE_MB
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_file_that_grows_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, honest = tmp_path / "a", os.fstat
+    path.write_bytes(b"abc")
+
+    def fstat(handle: int) -> os.stat_result:
+        facts = honest(handle)
+        with path.open("ab") as file:
+            file.write(b"d")
+        return facts
+
+    monkeypatch.setattr(os, "fstat", fstat)
+    with pytest.raises(DatasetError, match="a: another program writes it, expected a dataset that is whole"):
+        read_bytes(path, ONE_MB, "a dataset", DatasetError)
 
 
 # ---- JSON ----

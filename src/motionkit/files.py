@@ -312,12 +312,13 @@ def read_bytes(
 ) -> bytes:
     """All bytes of a regular file; raises like open_regular."""
     with open_regular(path, limit, what, error) as file:
+        size = os.fstat(file.fileno()).st_size
         try:
-            data = file.read(limit + 1)
+            data = file.read(size + 1)  # takes memory for as many bytes as are asked for
         except OSError as fault:
             raise error(f"{path}: cannot be read ({fault.strerror or fault})") from None
-    if len(data) > limit:  # the file grew after open_regular checked it
-        raise error(f"{path}: expected {what} of at most {_size(limit)}")
+    if len(data) > size:
+        raise error(f"{path}: another program writes it, expected {what} that is whole")
     return data
 
 
