@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from motionkit.names import visible
+
 
 class MotionkitError(Exception):
-    """An error in a user's file or request, as a one-line message."""
+    """An error in a user's file or request, as a one-line message; control characters of what it quotes are escaped."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(visible(message))
 
 
 class BvhError(MotionkitError):
