@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from fuzz.mutation import (
+    READING_SECONDS,
     SLOW_SECONDS,
     files_below,
     for_seconds,
@@ -272,7 +273,7 @@ def path_case(chance: random.Random, folder: Path) -> Callable[[], None]:
 def one_case(tmp_path_factory: pytest.TempPathFactory, make: Callable, seed: int) -> None:
     folder = tmp_path_factory.getbasetemp() / make.__name__
     folder.mkdir(exist_ok=True)
-    refuses_or_works(make(random.Random(seed), folder))
+    refuses_or_works(make(random.Random(seed), folder), READING_SECONDS)
 
 
 @pytest.mark.parametrize("make", [labels_case, path_case])
