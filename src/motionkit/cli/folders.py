@@ -14,7 +14,7 @@ import click
 from motionkit.cli.common import Stages, option, print_json, remark, say, together
 from motionkit.cli.outputs import FORMATS, STDOUT, checked_ending
 from motionkit.errors import MotionkitError, OverwriteError
-from motionkit.files import check_outputs, files_below
+from motionkit.files import check_outputs, files_below, remove_leftovers
 from motionkit.names import about
 from motionkit.reading import manner, reading
 
@@ -100,13 +100,17 @@ def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, 
         for path, place in zip(found, places, strict=True)
     ]
     failed: list[dict[str, Any]] = []
-    with Stages() as show, worker_processes(min(jobs or os.cpu_count() or 1, len(items))) as each:
-        progress = show.count("working", len(items))
-        for done, (path, (error, notes)) in enumerate(zip(found, each(_run_one, items), strict=True), 1):
-            for line in (*notes, *([f"failed: {about(str(path), error)}"] if error else ())):
-                remark(line)
-            failed += [{"file": path, "error": error}] if error else []
-            progress(done)
+    try:
+        with Stages() as show, worker_processes(min(jobs or os.cpu_count() or 1, len(items))) as each:
+            progress = show.count("working", len(items))
+            for done, (path, (error, notes)) in enumerate(zip(found, each(_run_one, items), strict=True), 1):
+                for line in (*notes, *([f"failed: {about(str(path), error)}"] if error else ())):
+                    remark(line)
+                failed += [{"file": path, "error": error}] if error else []
+                progress(done)
+    except BaseException:
+        remove_leftovers(places)  # of processes that were killed
+        raise
     wrote = len(found) - len(failed)
     if values["as_json"]:
         print_json({"output": out, "written": wrote, "failed": failed})
