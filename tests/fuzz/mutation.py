@@ -22,7 +22,7 @@ from typing import Any
 from motionkit.errors import MotionkitError
 from motionkit.names import visible
 
-# All long runs together; every test takes its share: BVH, labels, paths and datasets half, models and runs half.
+# Every long test takes its share of this time; those of models and their runs take a half.
 SLOW_SECONDS = float(os.environ.get("MOTIONKIT_FUZZ_SECONDS", "1200"))
 CASE_SECONDS = 20
 READING_SECONDS = 1.0  # of the processor, for a file of some kB
@@ -251,8 +251,8 @@ def files_below(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*")}
 
 
-def for_seconds(seconds: float, case: Callable[[random.Random], object], first_seed: int = 0) -> int:
-    """Run a case with one seed after the other until the time is up; how many, at least one.
+def for_seconds(seconds: float, case: Callable[[random.Random], object], first_seed: int = 0) -> None:
+    """Run a case with one seed after the other until the time is up, at least one, and print how many.
 
     A failure names its seed.
     """
@@ -264,4 +264,4 @@ def for_seconds(seconds: float, case: Callable[[random.Random], object], first_s
             error.add_note(f"seed {seed}") if hasattr(error, "add_note") else None
             raise
         seed += 1
-    return seed - first_seed
+    print(f"{seed - first_seed} tried")

@@ -144,7 +144,6 @@ def test_characters(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None
 
 @pytest.mark.slow
 def test_characters_for_long(tmp_path: Path) -> None:
-    tried = for_seconds(
+    for_seconds(
         0.1 * SLOW_SECONDS, lambda chance: refuses_or_works_apart(character_case(chance, tmp_path)), 10**6
     )
-    print(f"characters: {tried} tried")
