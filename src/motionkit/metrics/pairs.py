@@ -100,7 +100,9 @@ def _by_name(folder: Path) -> dict[Path, list[Path]]:
 
 
 def evaluate_pairs(
-    pairs: Sequence[Pair], evaluate: Callable[[Path, Path | None], MetricReport], each: Callable = map
+    pairs: Sequence[Pair],
+    evaluate: Callable[[Path, Path | None], MetricReport],
+    each: Callable[..., Iterator[Any]] = map,
 ) -> Iterator[PairResult]:
     """Yield the result of each pair; a pair that cannot be measured has an error instead of a report.
 
