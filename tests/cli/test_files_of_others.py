@@ -110,7 +110,7 @@ WRITING: list[tuple[tuple[str, ...], int]] = [
         for ending in ("bvh", "glb", "csv", "npz", "usda")
     ),
     (("convert", "clips", "out", "--format", "csv", "--jobs", "1"), 1),
-    (("trim", "clips/walk.bvh", "-o", "out/a.bvh", "--start", "0.1"), 1),
+    (("trim", "clips/walk.bvh", "-o", "out/a.bvh", "--from", "0.1"), 1),
     (("join", "clips/walk.bvh", "clips/walk.bvh", "-o", "out/a.bvh"), 1),
     (("mirror", "clips/walk.bvh", "out/a.bvh"), 1),
     (("loop", "clips/walk.bvh", "-o", "out/a.bvh", "--from", "0"), 1),
