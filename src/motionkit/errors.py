@@ -6,7 +6,6 @@ from pathlib import Path
 
 from motionkit.names import visible
 
-
 LONGEST = 1500  # characters of a message
 
 
