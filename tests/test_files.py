@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import tracemalloc
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from types import FrameType
 
 import pytest
 from hypothesis import given, settings
@@ -32,6 +35,7 @@ from motionkit.files import (
     safe_name,
     write_together,
 )
+from motionkit.interrupts import postpone
 from motionkit.locks import held
 
 ONE_MB = 2**20
@@ -89,6 +93,31 @@ def test_text_that_is_not_utf8_is_told_with_its_line(tmp_path: Path) -> None:
     assert read_text(tmp_path / "t") == "one"
 
 
+def test_a_small_file_takes_little_memory_whatever_the_limit(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")
+    tracemalloc.start()
+    try:
+        assert read_bytes(tmp_path / "a", 2**28) == b"abc"
+        assert tracemalloc.get_traced_memory()[1] < ONE_MB
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_file_that_grows_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, honest = tmp_path / "a", os.fstat
+    path.write_bytes(b"abc")
+
+    def fstat(handle: int) -> os.stat_result:
+        facts = honest(handle)
+        with path.open("ab") as file:
+            file.write(b"d")
+        return facts
+
+    monkeypatch.setattr(os, "fstat", fstat)
+    with pytest.raises(DatasetError, match="a: another program writes it, expected a dataset that is whole"):
+        read_bytes(path, ONE_MB, "a dataset", DatasetError)
+
+
 # ---- JSON ----
 
 
@@ -97,9 +126,10 @@ def test_text_that_is_not_utf8_is_told_with_its_line(tmp_path: Path) -> None:
     [
         ("[" * 100_000, "nested more than"),
         ('{"a":' * 100_000 + "1", "nested more than"),
-        ("[" + "[]," * 2_000_001 + "[]]", "more than 2000000 lists"),
+        ("[" + "[],{}," * 1_000_000 + "[]]", "more than 2000000 lists"),
         ("9" * 401, "401 digits"),
         ("[1e400]", "1e400 is not a finite number"),
+        (f"[{'9' * 30}e999]", f"({'9' * 20} is not a finite number"),
         ("[NaN]", "NaN is not a finite number"),
         ("[-Infinity]", "-Infinity is not a finite number"),
         ('"\\', "not JSON"),
@@ -255,6 +285,59 @@ def test_files_below_a_folder(tmp_path: Path) -> None:
         "a/2.bvh",
         "a/b/1.BVH",
     ]
+
+
+def stopped_at(step: int, work: Callable[[], object]) -> bool:
+    """Run work, with Ctrl-C before its step-th line in the modules that write; whether it came so far."""
+    left = step
+
+    def on_line(frame: FrameType, event: str, argument: object) -> object:
+        nonlocal left
+        left -= event == "line"
+        if left == 0:
+            sys.settrace(None)
+            signal.raise_signal(signal.SIGINT)
+        return on_line
+
+    def on_call(frame: FrameType, event: str, argument: object) -> object:
+        place = Path(frame.f_code.co_filename).name
+        inside = place in ("files.py", "locks.py", "interrupts.py", "contextlib.py")
+        return on_line if inside and frame.f_code.co_name != "<genexpr>" else None
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if not postpone(number):
+            raise KeyboardInterrupt
+
+    before, tracing = signal.signal(signal.SIGINT, stop), sys.gettrace()
+    sys.settrace(on_call)
+    try:
+        work()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(tracing)
+        signal.signal(signal.SIGINT, before)
+    return left <= 0
+
+
+@pytest.mark.parametrize("names", [("a",), pytest.param(("a", "b"), marks=pytest.mark.slow)])
+def test_ctrl_c_at_any_line_leaves_whole_files_alone(tmp_path: Path, names: tuple[str, ...]) -> None:
+    def work() -> None:
+        if len(names) == 1:
+            with atomic_write(tmp_path / "a") as file:
+                file.write("new" * 5000)
+        else:
+            write_together({tmp_path / name: b"new" * 5000 for name in names})
+
+    for step in range(1, 2000):
+        for name in names:
+            (tmp_path / name).write_text("old")
+        stopped = stopped_at(step, work)
+        assert sorted(path.name for path in tmp_path.iterdir()) == list(names), step
+        assert {(tmp_path / name).read_text() for name in names} in ({"old"}, {"new" * 5000}), step
+        if not stopped:
+            break
+    assert 100 < step < 1999
 
 
 # ---- killed runs, and two at once ----

@@ -4,9 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from motionkit.names import visible
+
+LONGEST = 1500  # characters of a message
+
 
 class MotionkitError(Exception):
-    """An error in a user's file or request, as a one-line message."""
+    """An error in a user's file or request, as a one-line message.
+
+    Control characters of what it quotes are escaped, and the middle of a very long quotation is left out.
+    """
+
+    def __init__(self, message: str) -> None:
+        text = visible(message)
+        if len(text) > LONGEST:
+            text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
+        super().__init__(text)
 
 
 class BvhError(MotionkitError):

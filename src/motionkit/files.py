@@ -129,10 +129,8 @@ def _pending(path: str | Path, mode: str) -> Iterator[_Pending]:
 
 def _open_temporary(target: Path) -> tuple[int, str]:
     """Make and lock a new file beside target; those that killed runs have left are removed."""
-    name = safe_name(target.name, 200)
-    slots = [f"{target.parent}{os.sep}.{name}.motionkit-{number}" for number in range(SLOTS)]
-    for slot in slots:
-        remove_abandoned(slot)
+    remove_leftovers([target])
+    slots = _slots(target)
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     for slot in slots:
         try:
@@ -143,6 +141,19 @@ def _open_temporary(target: Path) -> tuple[int, str]:
             return handle, slot
         os.close(handle)  # another run took it for a leftover before it was locked
     raise OSError(f"{SLOTS} other runs are writing it, or were killed: {slots[0]} and others")
+
+
+def remove_leftovers(targets: Iterable[Path]) -> None:
+    """Remove the temporary files of these outputs whose writers were killed."""
+    for target in targets:
+        for slot in _slots(Path(os.path.realpath(target))):
+            remove_abandoned(slot)
+
+
+def _slots(target: Path) -> list[str]:
+    """The names of an output's temporary files."""
+    name = safe_name(target.name, 200)
+    return [f"{target.parent}{os.sep}.{name}.motionkit-{number}" for number in range(SLOTS)]
 
 
 def _mode(path: Path) -> int:
@@ -312,12 +323,13 @@ def read_bytes(
 ) -> bytes:
     """All bytes of a regular file; raises like open_regular."""
     with open_regular(path, limit, what, error) as file:
+        size = os.fstat(file.fileno()).st_size
         try:
-            data = file.read(limit + 1)
+            data = file.read(size + 1)  # takes memory for as many bytes as are asked for
         except OSError as fault:
             raise error(f"{path}: cannot be read ({fault.strerror or fault})") from None
-    if len(data) > limit:  # the file grew after open_regular checked it
-        raise error(f"{path}: expected {what} of at most {_size(limit)}")
+    if len(data) > size:
+        raise error(f"{path}: another program writes it, expected {what} that is whole")
     return data
 
 

@@ -78,6 +78,11 @@ def tell(path: str | Path, notes: tuple[str, ...]) -> None:
         _manner.get().hear(f"{Path(path).name}: read with {'; '.join(notes)}")
 
 
+def retell(note: str) -> None:
+    """Say a note that was heard elsewhere, such as in another process."""
+    _manner.get().hear(note)
+
+
 @contextmanager
 def reading(
     strict: bool | None = None,

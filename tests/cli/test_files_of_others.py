@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import random
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -98,51 +101,91 @@ from motionkit.cli.main import main
 main()
 """
 MOTION = ("synthesize", "--types", "idle:0.1", "--model", "MODEL", "--seed", "SEED", "-o")
-SLOW = pytest.mark.slow
-
-
-@pytest.mark.parametrize(
+# Commands that write, and how many files.
+WRITING: list[tuple[tuple[str, ...], int]] = [
+    ((*MOTION, "out/a.bvh"), 1),
+    *(((*MOTION, f"out/a.{ending}"), 1) for ending in ("glb", "csv", "npz", "usda", "vrma")),
+    *(
+        (("convert", "clips/walk.bvh", f"out/a.{ending}"), 1)
+        for ending in ("bvh", "glb", "csv", "npz", "usda")
+    ),
+    (("convert", "clips", "out", "--format", "csv", "--jobs", "1"), 1),
+    (("trim", "clips/walk.bvh", "-o", "out/a.bvh", "--from", "0.1"), 1),
+    (("join", "clips/walk.bvh", "clips/walk.bvh", "-o", "out/a.bvh"), 1),
+    (("mirror", "clips/walk.bvh", "out/a.bvh"), 1),
+    (("loop", "clips/walk.bvh", "-o", "out/a.bvh"), 1),
+    (("fix", "clips/walk.bvh", "-o", "out/a.bvh"), 1),
+    (("retarget", "clips/walk.bvh", "--rig", "clips/walk.bvh", "-o", "out/a.bvh"), 1),
+    (("follow-path", "line", "--size", "0.2", "--model", "MODEL", "--seed", "SEED", "-o", "out/a.bvh"), 1),
+    *((("view", "clips/walk.bvh", "-o", f"out/a.{ending}"), 1) for ending in ("html", "png", "gif")),
+    (("preprocess", "clips", "-o", "out/ds"), 6),
+    (("export", "--onnx", "out/a.onnx", "--model", "MODEL"), 2),
+    (("demo", "-o", "out", "--model", "MODEL"), 5),
+]
+writing = pytest.mark.parametrize(
     ("words", "several"),
-    [
-        ((*MOTION, "out/a.bvh"), 1),
-        pytest.param((*MOTION, "out/a.glb"), 1, marks=SLOW),
-        pytest.param((*MOTION, "out/a.csv"), 1, marks=SLOW),
-        pytest.param((*MOTION, "out/a.npz"), 1, marks=SLOW),
-        pytest.param((*MOTION, "out/a.usda"), 1, marks=SLOW),
-        pytest.param((*MOTION, "out/a.vrma"), 1, marks=SLOW),
-        pytest.param(("mirror", "clips/walk.bvh", "out/a.bvh"), 1, marks=SLOW),
-        pytest.param(("loop", "clips/walk.bvh", "-o", "out/a.bvh", "--from", "0"), 1, marks=SLOW),
-        pytest.param(("fix", "clips/walk.bvh", "-o", "out/a.bvh"), 1, marks=SLOW),
-        pytest.param(("retarget", "clips/walk.bvh", "--to", "clips/walk.bvh", "-o", "out/a.bvh"), 1, marks=SLOW),
-        pytest.param(("view", "clips/walk.bvh", "-o", "out/a.html"), 1, marks=SLOW),
-        pytest.param(("view", "clips/walk.bvh", "-o", "out/a.png"), 1, marks=SLOW),
-        pytest.param(("view", "clips/walk.bvh", "-o", "out/a.gif"), 1, marks=SLOW),
-        pytest.param(("preprocess", "clips", "-o", "out/ds"), 6, marks=SLOW),
-        pytest.param(("export", "--onnx", "out/a.onnx", "--model", "MODEL"), 2, marks=SLOW),
-        pytest.param(("demo", "-o", "out", "--model", "MODEL"), 5, marks=SLOW),
-    ],
-)  # fmt: skip
+    [pytest.param(*each, marks=[pytest.mark.slow] * (each is not WRITING[0])) for each in WRITING],
+)
+
+
+class Killed:
+    """Runs of a command on an old output, of which some are killed."""
+
+    def __init__(self, folder: Path, words: tuple[str, ...], several: int, model: Path) -> None:
+        self.folder, self.out, self.words, self.model = folder, folder / "out", words, model
+        self.old, self.new = (1, 2) if "SEED" in words else (1, 1)
+        assert self.finishes(self.begun(0, self.new))
+        self.whole = visible(self.out)
+        assert len(self.whole) == several
+        assert self.finishes(self.begun(0, self.old))
+        self.former = visible(self.out)
+
+    def begun(self, at: int, seed: int) -> subprocess.Popen:
+        """A run that is killed at its at-th call that makes a file last."""
+        places = {"SEED": str(seed), "MODEL": str(self.model)}
+        command = [sys.executable, "-c", KILLED_AT, str(at), *(places.get(word, word) for word in self.words)]
+        return subprocess.Popen(
+            command, cwd=self.folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+
+    def finishes(self, run: subprocess.Popen) -> bool:
+        """Whether a run was not killed; each file is the old or the new one, and the next run cleans up."""
+        killed = run.wait() == -signal.SIGKILL
+        assert killed or run.returncode == 0
+        if killed:
+            for name, data in visible(self.out).items():
+                if "/." not in f"/{name}":
+                    assert data in (self.former[name], self.whole[name]), name
+            assert self.begun(0, self.old).wait() == 0
+            assert visible(self.out).keys() == self.former.keys(), (
+                "what the killed run left is not cleaned up"
+            )
+        return not killed
+
+
+@writing
 def test_a_killed_run_leaves_whole_files_and_the_next_cleans_up(
     tmp_path: Path, words: tuple[str, ...], several: int, tiny_model_file: Path
 ) -> None:
-    def run(at: int, seed: int) -> int:
-        places = {"SEED": str(seed), "MODEL": str(tiny_model_file)}
-        asked = [places.get(word, word) for word in words]
-        command = [sys.executable, "-c", KILLED_AT, str(at), *asked]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True).returncode
-
-    out, (old, new) = tmp_path / "out", (1, 2) if "SEED" in words else (1, 1)
-    assert run(0, new) == 0
-    whole = visible(out)
-    assert len(whole) == several
-    assert run(0, old) == 0
-    former, kills = visible(out), 0
-    while run(kills + 1, new) == -signal.SIGKILL:
+    runs, kills = Killed(tmp_path, words, several, tiny_model_file), 0
+    while not runs.finishes(runs.begun(kills + 1, runs.new)):
         kills += 1
-        for name, data in visible(out).items():
-            if "/." not in f"/{name}":
-                assert data in (former[name], whole[name]), (kills, name)
-        assert run(0, old) == 0
-        assert visible(out).keys() == former.keys(), f"what kill {kills} left is not cleaned up"
     print(f"killed {kills} times: {' '.join(words)}")
     assert kills >= 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("words", "several"), WRITING)
+def test_a_run_killed_at_any_moment_leaves_whole_files(
+    tmp_path: Path, words: tuple[str, ...], several: int, tiny_model_file: Path
+) -> None:
+    runs, chance = Killed(tmp_path, words, several, tiny_model_file), random.Random(1)
+    began = time.monotonic()
+    assert runs.finishes(runs.begun(0, runs.old))
+    lasts, kills = time.monotonic() - began, 0
+    for _ in range(int(os.environ.get("MOTIONKIT_KILLS", "4"))):
+        run = runs.begun(0, runs.new)
+        time.sleep(lasts * chance.uniform(0.4, 1.0))
+        run.kill()
+        kills += not runs.finishes(run)
+    print(f"killed {kills} times: {' '.join(words)}")

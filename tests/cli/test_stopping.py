@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli.main import main
+from motionkit.motion.bvh import write_bvh
+from synthetic_motions import make_walk
 
 from .test_mirror import RIG
 from .test_terminal import CONTROL_SEQUENCE, fcntl, open_terminal, termios
@@ -145,3 +147,23 @@ def test_workers_end_with_their_parent(name: str, tmp_path: Path) -> None:
             if alive(number):
                 os.kill(number, signal.SIGKILL)
     assert err.count("Traceback") == (1 if name == "SIGINT" else 0), "the parent's own, of this script"
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="no process groups here")
+def test_ctrl_c_in_a_folder_leaves_no_file_that_a_process_was_writing(tmp_path: Path) -> None:
+    for name in "abcd":
+        write_bvh(tmp_path / "clips" / f"{name}.bvh", make_walk(1500))
+    running = subprocess.Popen(
+        [sys.executable, "-m", "motionkit", "convert", "clips", "out", "--format", "csv", "--jobs", "2"],
+        cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    try:
+        while not list(tmp_path.glob("out/.*")):
+            assert running.poll() is None
+            time.sleep(0.01)
+        os.killpg(running.pid, signal.SIGINT)
+        _, err = running.communicate(timeout=60)
+    finally:
+        running.kill()
+    assert (running.returncode, err) == (130, "stopped\n")
+    assert not list(tmp_path.glob("out/.*"))

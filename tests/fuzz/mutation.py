@@ -14,15 +14,18 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from motionkit.errors import MotionkitError
+from motionkit.names import visible
 
-# All long runs together; every test takes its share: BVH, labels, paths and datasets half, models and runs half.
+# Every long test takes its share of this time; those of models and their runs take a half.
 SLOW_SECONDS = float(os.environ.get("MOTIONKIT_FUZZ_SECONDS", "1200"))
 CASE_SECONDS = 20
+READING_SECONDS = 1.0  # of the processor, for a file of some kB
 CASE_BYTES = 2**30
 
 NUMBERS = (
@@ -172,20 +175,43 @@ def _changed(chance: random.Random, value: Any, holder: Any, key: Any) -> Any:
 # ---- running one case ----
 
 
-def refuses_or_works(work: Callable[[], object]) -> str:
-    """Run work; its one-line refusal, or "" if it worked. Any other exception goes on as a failure."""
+def refuses_or_works(work: Callable[[], object], seconds: float = CASE_SECONDS) -> str:
+    """Run work; its one-line refusal, or "" if it worked. Any other exception goes on as a failure.
+
+    Args:
+        work: what may take CASE_BYTES of memory above what is in use.
+        seconds: of the processor that it may take.
+    """
+    message, began = "", time.process_time()
     try:
-        work()
+        with _memory_bounded():
+            work()
     except MotionkitError as error:
         message = str(error)
-        assert message and "\n" not in message and "Traceback" not in message, message
+        assert message and message == visible(message) and "Traceback" not in message, repr(message)
         assert len(message) < 2000, message[:3000]
-        return message
-    return ""
+    assert time.process_time() - began < seconds, message
+    return message
+
+
+@contextmanager
+def _memory_bounded() -> Iterator[None]:
+    """Let allocations of more than CASE_BYTES raise MemoryError during a block."""
+    import resource  # not on Windows
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + CASE_BYTES
+    if soft == resource.RLIM_INFINITY or limit < soft:
+        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def refuses_or_works_apart(work: Callable[[], object]) -> None:
-    """refuses_or_works in a forked child with CASE_SECONDS of time and CASE_BYTES of memory above its parent's.
+    """refuses_or_works in a forked child, which is ended after CASE_SECONDS.
 
     Raises AssertionError with the child's traceback, or the signal that ended it.
     """
@@ -213,13 +239,8 @@ def refuses_or_works_apart(work: Callable[[], object]) -> None:
 
 
 def _limit_child() -> None:
-    import resource  # not on Windows
-
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(CASE_SECONDS)
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    limit = pages * resource.getpagesize() + CASE_BYTES
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     # The parent's OpenMP threads do not live in a fork: work that is shared among them would wait for ever.
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
@@ -230,8 +251,8 @@ def files_below(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*")}
 
 
-def for_seconds(seconds: float, case: Callable[[random.Random], object], first_seed: int = 0) -> int:
-    """Run a case with one seed after the other until the time is up; how many, at least one.
+def for_seconds(seconds: float, case: Callable[[random.Random], object], first_seed: int = 0) -> None:
+    """Run a case with one seed after the other until the time is up, at least one, and print how many.
 
     A failure names its seed.
     """
@@ -243,4 +264,4 @@ def for_seconds(seconds: float, case: Callable[[random.Random], object], first_s
             error.add_note(f"seed {seed}") if hasattr(error, "add_note") else None
             raise
         seed += 1
-    return seed - first_seed
+    print(f"{seed - first_seed} tried")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -191,3 +192,214 @@ def test_the_shortest_flight_of_a_jump_and_its_foot(frames: int, count: int, sid
         positions[:, JOINT_NAMES.index(name.replace("Left", "Right")), 1] = height + max(side, 0.0)
     positions[20 : 20 + frames, :, 1] += 20.0
     assert take_offs(replace(body, positions=positions)) == [foot] * count
+
+
+# ---- bounds: what is measured of a body just within and just beyond each ----
+
+
+FRAMES = 240
+
+
+class Measured:
+    """A body of which only the measures are known; those not given are of no motion at all."""
+
+    fps = 60.0
+    flat = ("speed", "foot_lead", "head_height", "ankle_height")
+    pairs = ("velocity", "lifts", "hand_heights", "arm_extension", "arm_ahead", "arm_thrust")
+
+    def __init__(self, **given: object) -> None:
+        self.__dict__ |= {name: np.zeros(FRAMES) for name in self.flat}
+        self.__dict__ |= {name: np.zeros((FRAMES, 2)) for name in self.pairs}
+        self.positions, self.turned = np.zeros((FRAMES, 1, 3)), np.zeros((FRAMES, 3))
+        self.flights, self.flight, self.stride_flight, self.joints = [], 0.0, 0, 0.0
+        self.__dict__ |= given
+
+    def __len__(self) -> int:
+        return FRAMES
+
+    def cut(self, start: int, end: int) -> Measured:
+        return self
+
+    def joint_speed(self) -> float:
+        return self.joints
+
+    def flight_seconds(self) -> float:
+        return self.flight
+
+    def stride_flight_frames(self) -> int:
+        return self.stride_flight
+
+
+def going(speed: float, ahead: float, swing: float = 30.0, flight: int = 0) -> Measured:
+    """Legs swing by 30 cm, at a speed in m/s and one ahead."""
+    velocity = np.tile([0.0, ahead], (FRAMES, 1))
+    lead = np.linspace(0.0, swing, FRAMES)
+    return Measured(speed=np.full(FRAMES, speed), velocity=velocity, foot_lead=lead, stride_flight=flight)
+
+
+def between(outside: float, inside: float) -> Array:
+    """A measure that is another one from frame 50 to 70."""
+    values = np.full(FRAMES, outside)
+    values[50:70] = inside
+    return values
+
+
+def kick(
+    ankle: float = 40.0, hands: float = 60.0, head: float = 50.0, spin: float = 5.0, flight: float = 0.3,
+    late: int = 0,
+) -> Measured:  # fmt: skip
+    """An ankle that is high from frame 50 to 70; the body spins some frames after that, by radians."""
+    turned = np.zeros((FRAMES, 3))
+    turned[70 + late :, 1] = spin
+    return Measured(
+        ankle_height=between(-50.0, ankle), hand_heights=np.full((FRAMES, 2), hands),
+        head_height=np.full(FRAMES, head), turned=turned, flight=flight,
+    )  # fmt: skip
+
+
+def thrust(
+    extension: float = 0.95, ahead: float = 0.8, height: float = 30.0, speed: float = 70.0,
+    bent: float = 0.7, seconds: float = 0.4,
+) -> Measured:  # fmt: skip
+    """An arm that thrusts while it is bent, and is straight after some seconds."""
+    at = 30 + round(60 * seconds)
+    arms = {
+        name: np.zeros((FRAMES, 2)) for name in ("arm_extension", "arm_ahead", "arm_thrust", "hand_heights")
+    }
+    arms["arm_extension"][:, 0] = 0.85
+    arms["arm_thrust"][30, 0], arms["arm_extension"][30, 0] = speed, bent
+    arms["arm_extension"][at, 0], arms["arm_ahead"][at, 0], arms["hand_heights"][at, 0] = (
+        extension,
+        ahead,
+        height,
+    )
+    return Measured(**arms)
+
+
+def over(
+    forwards: float = 0.0, spin: float = 0.0, sideways: float = 0.0, hands: float = 60.0, hips: float = 90.0,
+    flight: float = 0.0, up_after: float = 0.5, up: float = 50.0,
+) -> Measured:  # fmt: skip
+    """A head below the hips from frame 50 to 70 that is up again after some seconds; angles in radians."""
+    head, turned = between(0.0, -30.0), np.zeros((FRAMES, 3))
+    head[70 + round(60 * up_after)] = up
+    turned[60:] = forwards, spin, sideways
+    positions = np.zeros((FRAMES, 1, 3))
+    positions[:, 0, 1] = hips
+    return Measured(
+        head_height=head, turned=turned, hand_heights=np.full((FRAMES, 2), hands), positions=positions,
+        flight=flight,
+    )  # fmt: skip
+
+
+def duck(
+    speed: float = 1.2, head: float = 0.0, ankle: float = 0.0, up: float = 50.0, after: float = 1.0
+) -> Measured:
+    heights = between(20.0, head)
+    heights[70 + round(60 * after)] = up
+    return Measured(speed=np.full(FRAMES, speed), head_height=heights, ankle_height=np.full(FRAMES, ankle))
+
+
+def idle(speed: float = 0.0, lift: float = 0.0, joints: float = 0.0) -> Measured:
+    return Measured(speed=np.full(FRAMES, speed), lifts=np.full((FRAMES, 2), lift), joints=joints)
+
+
+@pytest.mark.parametrize(
+    ("kind", "make", "given", "beyond"),
+    [
+        ("idle", idle, {"speed": 0.149}, {"speed": 0.151}),
+        ("idle", idle, {"lift": 9.9}, {"lift": 10.1}),
+        ("idle", idle, {"joints": 0.99}, {"joints": 1.01}),
+        ("walking", going, {"speed": 0.41, "ahead": 0.4}, {"speed": 0.39}),
+        ("walking", going, {"speed": 1.99, "ahead": 1.9}, {"speed": 2.01}),
+        ("walking", going, {"speed": 1.0, "ahead": 0.51}, {"ahead": 0.49}),
+        ("walking", going, {"speed": 1.0, "ahead": 0.9, "swing": 25.1}, {"swing": 24.9}),
+        ("walking", going, {"speed": 1.0, "ahead": 0.9, "flight": 2}, {"flight": 3}),
+        ("b-walking", going, {"speed": 0.31, "ahead": -0.3}, {"speed": 0.29}),
+        ("b-walking", going, {"speed": 1.99, "ahead": -1.9}, {"speed": 2.01}),
+        ("b-walking", going, {"speed": 1.0, "ahead": -0.51}, {"ahead": -0.49}),
+        ("b-walking", going, {"speed": 1.0, "ahead": -0.9, "flight": 2}, {"flight": 3}),
+        ("running", going, {"speed": 1.41, "ahead": 1.4, "flight": 2}, {"speed": 1.39}),
+        ("running", going, {"speed": 7.9, "ahead": 7.0, "flight": 2}, {"speed": 8.1}),
+        ("running", going, {"speed": 3.0, "ahead": 2.9, "flight": 2}, {"flight": 1}),
+        ("running", going, {"speed": 3.0, "ahead": 2.9, "flight": 2}, {"ahead": -2.9}),
+        ("kicking", kick, {"ankle": 0.1}, {"ankle": -0.1}),
+        ("kicking", kick, {"hands": 40.1}, {"hands": 39.9}),
+        ("kicking", kick, {"head": 10.1}, {"head": 9.9}),
+        ("w-kicking", kick, {"ankle": 30.1}, {"ankle": 29.9}),
+        ("w-kicking", kick, {"flight": 0.21}, {"flight": 0.19}),
+        ("w-kicking", kick, {"spin": 4.1}, {"spin": 3.9}),
+        ("w-kicking", kick, {"late": 44}, {"late": 46}),
+        ("punching", thrust, {"extension": 0.91}, {"extension": 0.89}),
+        ("punching", thrust, {"ahead": 0.76}, {"ahead": 0.74}),
+        ("punching", thrust, {"height": 20.1}, {"height": 19.9}),
+        ("punching", thrust, {"speed": 65.1}, {"speed": 64.9}),
+        ("punching", thrust, {"bent": 0.79}, {"bent": 0.81}),
+        ("punching", thrust, {"seconds": 0.5}, {"seconds": 0.52}),
+        ("cartwheel", over, {"sideways": 3.1, "hands": 25.0}, {"sideways": 2.9}),
+        ("cartwheel", over, {"sideways": 3.1, "hands": 25.0}, {"hands": 25.1}),
+        ("cartwheel", over, {"sideways": 3.1, "hands": 25.0, "hips": 50.1}, {"hips": 49.9}),
+        ("cartwheel", over, {"sideways": 3.1, "hands": 25.0, "spin": 3.9}, {"spin": 4.1}),
+        ("cartwheel", over, {"sideways": 3.1, "hands": 25.0, "up": 25.1}, {"up": 24.9}),
+        ("cartwheel", over, {"sideways": 3.1, "hands": 25.0, "up_after": 1.48}, {"up_after": 1.5}),
+        ("backflip", over, {"forwards": -4.1}, {"forwards": -3.9}),
+        ("backflip", over, {"forwards": -4.1, "hands": 25.1}, {"hands": 25.0}),
+        ("handspring", over, {"forwards": 3.1, "hands": 25.0}, {"forwards": 2.9}),
+        ("handspring", over, {"forwards": 3.1, "hands": 25.0, "sideways": 3.0}, {"sideways": 3.2}),
+        ("handspring", over, {"forwards": 3.1, "hands": 25.0}, {"hands": 25.1}),
+        ("handspring", over, {"forwards": 3.1, "hands": 25.0, "hips": 50.1}, {"hips": 49.9}),
+        ("side-somersault", over, {"sideways": 3.1}, {"sideways": 2.9}),
+        ("side-somersault", over, {"sideways": 3.1, "hands": 25.1}, {"hands": 25.0}),
+        ("side-somersault", over, {"sideways": 3.1, "spin": 3.9}, {"spin": 4.1}),
+        ("dive-roll", over, {"forwards": 2.6, "hips": 39.9}, {"forwards": 2.4}),
+        ("dive-roll", over, {"forwards": 2.6, "hips": 39.9}, {"hips": 40.1}),
+        ("twist", over, {"spin": 4.1, "flight": 0.31}, {"spin": 3.9}),
+        ("twist", over, {"spin": 4.1, "flight": 0.31}, {"flight": 0.29}),
+        ("duck", duck, {"speed": 1.01}, {"speed": 0.99}),
+        ("duck", duck, {"head": 4.9}, {"head": 5.1}),
+        ("duck", duck, {"ankle": 9.9}, {"ankle": 10.1}),
+        ("duck", duck, {"up": 25.1}, {"up": 24.9}),
+        ("duck", duck, {"after": 1.48}, {"after": 1.5}),
+    ],
+)
+def test_what_is_within_and_beyond_each_bound(
+    kind: str, make: Callable[..., Body], given: dict[str, float], beyond: dict[str, float]
+) -> None:
+    assert DETECTORS[kind].shows(make(**given))
+    assert not DETECTORS[kind].shows(make(**given | beyond))
+
+
+@pytest.mark.parametrize(("gap", "count"), [(11, 1), (12, 2)])
+def test_turns_that_follow_soon_are_one(gap: int, count: int) -> None:
+    head = between(0.0, -30.0)
+    head[70 + gap : 90 + gap] = -30.0
+    found = turns(Measured(head_height=head))
+    assert [round(turn.seconds * 60) for turn in found] == ([40 + gap] if count == 1 else [20, 20])
+
+
+@pytest.mark.parametrize(
+    ("kinds", "shows"), [("lb", True), ("lbb", False), ("lrl", True), ("", False), ("b", False)]
+)
+def test_a_jump_from_a_foot_is_half_of_the_flights(kinds: str, shows: bool) -> None:
+    lifts, flights = np.zeros((FRAMES, 2)), []
+    for number, kind in enumerate(kinds):
+        start = 60 * (number + 1)
+        lifts[start - 9 : start, {"l": 1, "r": 0}.get(kind, 0)] = 0.0 if kind == "b" else 20.0
+        lifts[start - 10] = 1000.0  # before the take-off
+        flights.append((start, start + 12))
+    body = Measured(lifts=lifts, flights=flights, head_height=np.ones(FRAMES))
+    assert take_offs(body) == list(kinds) and DETECTORS["jumping-l"].shows(body) == shows
+    assert not DETECTORS["jumping-l"].shows(
+        Measured(lifts=lifts, flights=flights, head_height=-np.ones(FRAMES))
+    )
+    assert take_offs(Measured(flights=[(0, 30)])) == [], "a flight whose take-off is not seen"
+
+
+@pytest.mark.parametrize(("side", "row"), [("Left", 0), ("Right", 1)])
+def test_a_foot_is_lifted_as_far_as_the_lower_of_ankle_and_toe(side: str, row: int) -> None:
+    body = body_of(make_idle(2))
+    positions = np.zeros_like(body.positions)
+    for ankle, toe in ((3.0, 7.0), (9.0, 4.0), (-1.0, 2.0)):
+        positions[:, JOINT_NAMES.index(f"{side}Foot"), 1] = STANDING_ANKLE + ankle
+        positions[:, JOINT_NAMES.index(f"{side}ToeBase"), 1] = STANDING_TOE + toe
+        assert replace(body, positions=positions).lifts[:, row] == pytest.approx(min(ankle, toe), abs=1e-4)

@@ -7,9 +7,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.cli.main import main
+from motionkit.export.formats import write_motion
 from motionkit.motion.bvh import write_bvh
 
 from .conftest import swaying
@@ -115,6 +117,40 @@ def test_a_file_of_one_frame_is_named(metrics, folders: Path) -> None:
     assert (code, out) == (1, "") and err.startswith("error: one.bvh: nothing to compare: 1 frames at 60 fps")
 
 
+def test_a_folder_of_every_ending_by_several_processes(metrics, folders: Path) -> None:
+    """All that can be read is measured; what cannot is a line, and the rest is done."""
+    for ending in (".npz", ".glb"):
+        write_motion(folders / "truth" / f"a{ending}", swaying(frames=40))
+    (folders / "truth" / "bad.amc").write_text("no motion")
+    np.savez(folders / "truth" / "arrays.npz", weights=np.ones(3))
+    alone = metrics("truth", "--jobs", "1", "--json")
+    assert metrics("truth", "--jobs", "2", "--json") == alone
+    code, out, err = alone
+    assert code == 1 and err.splitlines()[-1] == "error: 1 of 6 not measured, 0 files without a partner"
+    assert "left out: truth/bad.amc: " in err
+    rows = {pair["ground_truth"]: pair.get("metrics") for pair in json.loads(out)["pairs"]}
+    assert list(rows) == ["truth/a.bvh", "truth/a.glb", "truth/a.npz", "truth/bad.amc", "truth/deep/b.bvh",
+                          "truth/only-truth.bvh"]  # fmt: skip
+    jerks = {
+        row["value"]
+        for name in ("bvh", "glb", "npz")
+        for row in rows[f"truth/a.{name}"]
+        if row["id"] == "jerk"
+    }
+    assert max(jerks) == pytest.approx(min(jerks), rel=0.01)
+
+
+def test_pairs_of_other_endings(metrics, folders: Path) -> None:
+    """One clip of each folder by a name is a pair whatever its ending; of several, those of the same ending are."""
+    write_motion(folders / "made" / "only-truth.npz", swaying(frames=40))
+    write_motion(folders / "made" / "a.glb", swaying(frames=40))
+    code, out, err = metrics("truth", "made", "--json", "--jobs", "1")
+    assert [(Path(p["ground_truth"]).name, Path(p["generated"]).name) for p in json.loads(out)["pairs"]] == [
+        ("a.bvh", "a.BVH"), ("b.bvh", "b.bvh"), ("only-truth.bvh", "only-truth.npz"),
+    ]  # fmt: skip
+    assert code == 1 and "a.glb has no partner" in err and "made/b.bvh has no partner" in err
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -133,9 +169,9 @@ def test_wrong_usage(metrics, words: list[str]) -> None:
 
 def test_folders_without_pairs(metrics, folders: Path) -> None:
     (folders / "empty").mkdir()
-    assert metrics("empty") == (1, "", "error: empty: no .bvh files found\n")
+    assert metrics("empty") == (1, "", "error: empty: no .bvh, .amc, .npz, .glb, .vrm or .fbx files found\n")
     assert metrics("truth", "empty") == (
         1,
         "",
-        "error: truth and empty: no two .bvh files have the same name\n",
+        "error: truth and empty: no two files of motion have the same name\n",
     )

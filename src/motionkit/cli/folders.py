@@ -14,9 +14,16 @@ import click
 from motionkit.cli.common import Stages, option, print_json, remark, say, together
 from motionkit.cli.outputs import FORMATS, STDOUT, checked_ending
 from motionkit.errors import MotionkitError, OverwriteError
-from motionkit.files import check_outputs, files_below
+from motionkit.files import check_outputs, remove_leftovers
 from motionkit.names import about
 from motionkit.reading import manner, reading
+
+jobs_option = option(
+    "--jobs",
+    default=0,
+    type=click.IntRange(0, 256),
+    help="Folders: number of processes; 0 is one for each core.",
+)
 
 
 def _folder_options(forms: tuple[str, ...]) -> Callable:
@@ -28,12 +35,7 @@ def _folder_options(forms: tuple[str, ...]) -> Callable:
             type=click.Choice(forms),
             help="Folders: format to write.",
         ),
-        option(
-            "--jobs",
-            default=0,
-            type=click.IntRange(0, 256),
-            help="Folders: number of processes; 0 is one for each core.",
-        ),
+        jobs_option,
     )
 
 
@@ -80,7 +82,7 @@ def folders(
 def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, form: str, jobs: int) -> None:
     """Run the command on every clip of a folder; raises MotionkitError at the end if some failed."""
     from motionkit.data.workers import worker_processes
-    from motionkit.rig.read_file import ENDINGS, holds_motion, told_endings
+    from motionkit.rig.read_file import motion_files, told_endings
 
     out = values[target]
     if out is None or out == STDOUT:
@@ -89,7 +91,7 @@ def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, 
         raise click.UsageError(f"{folder} is a folder; expected a folder to write to, found {out.name!r}")
     if out.resolve().is_relative_to(folder.resolve()):
         raise OverwriteError(f"{out}: is inside the input folder {folder}; choose another output folder")
-    found = sorted(path for ending in ENDINGS for path in files_below(folder, ending) if holds_motion(path))
+    found = motion_files(folder)
     if not found:
         raise MotionkitError(f"{folder}: no {told_endings()} files found")
     places = [(out / path.relative_to(folder)).with_suffix(f".{form}") for path in found]
@@ -107,13 +109,17 @@ def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, 
         for path, place in zip(found, places, strict=True)
     ]
     failed: list[dict[str, Any]] = []
-    with Stages() as show, worker_processes(min(jobs or os.cpu_count() or 1, len(items))) as each:
-        progress = show.count("working", len(items))
-        for done, (path, (error, notes)) in enumerate(zip(found, each(_run_one, items), strict=True), 1):
-            for line in (*notes, *([f"failed: {about(str(path), error)}"] if error else ())):
-                remark(line)
-            failed += [{"file": path, "error": error}] if error else []
-            progress(done)
+    try:
+        with Stages() as show, worker_processes(min(jobs or os.cpu_count() or 1, len(items))) as each:
+            progress = show.count("working", len(items))
+            for done, (path, (error, notes)) in enumerate(zip(found, each(_run_one, items), strict=True), 1):
+                for line in (*notes, *([f"failed: {about(str(path), error)}"] if error else ())):
+                    remark(line)
+                failed += [{"file": path, "error": error}] if error else []
+                progress(done)
+    except BaseException:
+        remove_leftovers(places)  # of processes that were killed
+        raise
     wrote = len(found) - len(failed)
     if values["as_json"]:
         print_json({"output": out, "written": wrote, "failed": failed})

@@ -1,7 +1,8 @@
-"""`motionkit metrics`: measures a BVH file, alone or against its ground truth."""
+"""`motionkit metrics`: measures clips, alone or against their ground truth."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ from motionkit.cli.common import (
     stdout_console,
 )
 from motionkit.cli.finite import FINITE, FiniteRange
+from motionkit.cli.folders import jobs_option
 from motionkit.cli.outputs import Outputs, default_output, view_option
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings
@@ -115,8 +117,8 @@ class Measuring:
     are resampled to 60 fps, and clips of different length are compared over their common frames; notes under the
     table say what was changed.
 
-    Both may be folders: files of the same name are pairs, and files without a partner are listed. One folder
-    alone is measured file by file. --pair pairs files of different names. For many pairs the table shows each
+    Both may be folders of clips: files of the same name are pairs, and files without a partner are listed. One
+    folder alone is measured file by file. --pair pairs files of different names. For many pairs the table shows each
     pair, the means, and Frechet distance and diversity of all files together; the exit code is 1 if any file was
     left out.
     """,
@@ -164,6 +166,7 @@ class Measuring:
 @_positive("--fps", "Frame rate of GROUND_TRUTH, if its header is wrong.")
 @_positive("--generated-fps", "Frame rate of GENERATED, if its header is wrong.")
 @animation_option
+@jobs_option
 @view_option
 @clip_options
 @json_option
@@ -175,6 +178,7 @@ def command(
     generated: Path | None,
     given_pairs: tuple[tuple[Path, Path], ...],
     measuring: Measuring,
+    jobs: int,
     view: bool,
     as_json: bool,
     as_csv: bool,
@@ -193,7 +197,7 @@ def command(
 
         pairs, lonely = find_pairs(ground_truth, generated) if ground_truth else (list(given_pairs), [])
         with Stages() as show:
-            results = _measured(pairs, measuring, show)
+            results = _measured(pairs, measuring, jobs, show)
         _tell_many(results, measuring.of_sets(results), lonely, as_json, as_csv)
         return
     from motionkit.metrics.pairs import PairResult, csv_text
@@ -213,14 +217,16 @@ def command(
 
 
 def _measured(
-    pairs: Sequence[tuple[Path, Path | None]], measuring: Measuring, show: Stages
+    pairs: Sequence[tuple[Path, Path | None]], measuring: Measuring, jobs: int, show: Stages
 ) -> list[PairResult]:
+    from motionkit.data.workers import worker_processes
     from motionkit.metrics.pairs import evaluate_pairs
 
     progress, results = show.count("measuring", len(pairs)), []
-    for result in evaluate_pairs(pairs, measuring.evaluate):
-        results.append(result)
-        progress(len(results))
+    with worker_processes(min(jobs or os.cpu_count() or 1, len(pairs))) as each:
+        for result in evaluate_pairs(pairs, measuring.evaluate, each):
+            results.append(result)
+            progress(len(results))
     return results
 
 

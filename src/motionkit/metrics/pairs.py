@@ -6,13 +6,15 @@ import csv
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from motionkit.errors import MotionkitError
-from motionkit.files import files_below
 from motionkit.metrics.report import MetricReport, MetricRow
 from motionkit.names import visible
+from motionkit.reading import manner, reading, retell
+from motionkit.rig.read_file import motion_files, told_endings
 
 Pair = tuple[Path, Path | None]  # ground truth, generated
 CSV_COLUMNS = (
@@ -60,7 +62,9 @@ class MeanRow:
 
 
 def find_pairs(ground_truth: Path, generated: Path | None) -> tuple[list[Pair], list[Path]]:
-    """List the BVH files below one folder, or pair those below two folders by their relative paths.
+    """List the files of motion below one folder, or pair those below two folders by their relative paths.
+
+    Endings may differ, unless several files of a folder have the same name but for it.
 
     Returns:
         The pairs, and the files of either folder without a counterpart in the other.
@@ -68,30 +72,61 @@ def find_pairs(ground_truth: Path, generated: Path | None) -> tuple[list[Pair], 
     Raises:
         MotionkitError: there is nothing to measure.
     """
-    truths = {
-        path.relative_to(ground_truth).with_suffix(""): path for path in files_below(ground_truth, ".bvh")
-    }
+    truths = _by_name(ground_truth)
     if not truths:
-        raise MotionkitError(f"{ground_truth}: no .bvh files found")
+        raise MotionkitError(f"{ground_truth}: no {told_endings()} files found")
     if generated is None:
-        return [(path, None) for path in truths.values()], []
-    made = {path.relative_to(generated).with_suffix(""): path for path in files_below(generated, ".bvh")}
-    pairs: list[Pair] = [(truths[name], made[name]) for name in truths if name in made]
+        return [(path, None) for paths in truths.values() for path in paths], []
+    made = _by_name(generated)
+    pairs: list[Pair] = []
+    for name, paths in truths.items():
+        others = made.get(name, [])
+        alone = len(paths) == len(others) == 1
+        for path in paths:
+            pairs += [(path, o) for o in others if alone or o.suffix.lower() == path.suffix.lower()]
     if not pairs:
-        raise MotionkitError(f"{ground_truth} and {generated}: no two .bvh files have the same name")
-    lonely = [path for name, path in truths.items() if name not in made]
-    return pairs, lonely + [path for name, path in made.items() if name not in truths]
+        raise MotionkitError(f"{ground_truth} and {generated}: no two files of motion have the same name")
+    paired = {path for pair in pairs for path in pair}
+    every = [path for found in (truths, made) for paths in found.values() for path in paths]
+    return pairs, [path for path in every if path not in paired]
+
+
+def _by_name(folder: Path) -> dict[Path, list[Path]]:
+    """The files of motion below a folder by their relative paths without endings."""
+    found: dict[Path, list[Path]] = {}
+    for path in motion_files(folder):
+        found.setdefault(path.relative_to(folder).with_suffix(""), []).append(path)
+    return found
 
 
 def evaluate_pairs(
-    pairs: Sequence[Pair], evaluate: Callable[[Path, Path | None], MetricReport]
+    pairs: Sequence[Pair],
+    evaluate: Callable[[Path, Path | None], MetricReport],
+    each: Callable[..., Iterator[Any]] = map,
 ) -> Iterator[PairResult]:
-    """Yield the result of each pair; a pair that cannot be measured has an error instead of a report."""
-    for ground_truth, generated in pairs:
+    """Yield the result of each pair; a pair that cannot be measured has an error instead of a report.
+
+    Args:
+        pairs: the files.
+        evaluate: measures a pair; processes need one that can be pickled.
+        each: a function like map, such as that of data.workers.
+    """
+    for result, notes in each(partial(_evaluated, evaluate, manner()), list(pairs)):
+        for note in notes:
+            retell(note)
+        yield result
+
+
+def _evaluated(
+    evaluate: Callable[[Path, Path | None], MetricReport], how: dict[str, Any], pair: Pair
+) -> tuple[PairResult, list[str]]:
+    """The result of a pair, and the notes on its files."""
+    notes: list[str] = []
+    with reading(hear=notes.append, **how):
         try:
-            yield PairResult(ground_truth, generated, evaluate(ground_truth, generated))
+            return PairResult(*pair, evaluate(*pair)), notes
         except MotionkitError as error:
-            yield PairResult(ground_truth, generated, error=str(error))
+            return PairResult(*pair, error=str(error)), notes
 
 
 def mean_rows(results: Sequence[PairResult]) -> list[MeanRow]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from motionkit.errors import MotionkitError
+from motionkit.files import files_below
 from motionkit.motion.acclaim import read_acclaim
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh
 from motionkit.motion.npz import has_motion, read_npz
@@ -55,6 +56,11 @@ def _check_map(path: str | Path, skeleton: Skeleton) -> None:
         raise MotionkitError(f"{path}: has no joint {lacking[0][:40]!r}, which the bone map names")
     if lacking:
         tell(path, ("its joints found by name and shape, because the bone map names none of them",))
+
+
+def motion_files(folder: str | Path) -> list[Path]:
+    """The files of motion below a folder, sorted; raises MotionkitError if one of its folders cannot be listed."""
+    return [path for path in files_below(folder, ENDINGS) if holds_motion(path)]
 
 
 def holds_motion(path: str | Path) -> bool:
