@@ -243,9 +243,6 @@ def check_shape_options(types: Any, size: float | None, speed: float | None) -> 
 # ---- files ----
 
 
-CLIPS = (".bvh", ".glb", ".vrm")  # endings of motions, which people take for paths
-
-
 def read_path(file: str | Path) -> Path2D:
     """Read a path from JSON or CSV, in metres and metres per second.
 
@@ -257,7 +254,9 @@ def read_path(file: str | Path) -> Path2D:
         ControlError: naming the file and the part or line that is wrong.
     """
     file = Path(file)
-    if file.suffix.lower() in CLIPS:
+    from motionkit.rig.read_file import ENDINGS
+
+    if file.suffix.lower() in ENDINGS:
         raise ControlError(f"{file}: is a motion, expected a path: a JSON or CSV file, or a named shape")
     text = read_text(file, "a path", ControlError)
     parts = _csv_parts(file, text) if file.suffix.lower() == ".csv" else _json_parts(file, text)

@@ -111,7 +111,9 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         fixed = fix_motion(motion.cut(first, len(motion)), repairs)
         note = f"the clip begins with {counted(first, 'frame')} apart from the rest, such as a rest pose: left as it is"
         shifted = tuple((frame + first, joint) for frame, joint in fixed.glitches)
-        return Fixed(_joined(motion.cut(0, first), fixed.motion), fixed.table, shifted, (note, *fixed.notes))
+        return Fixed(
+            motion.cut(0, first).followed_by(fixed.motion), fixed.table, shifted, (note, *fixed.notes)
+        )
     source = Upright.of(motion)
     made, rig = source.motion, _rig(source.motion)
     limbs = _limbs(made, rig)
@@ -139,24 +141,10 @@ def _apart(motion: Motion) -> int:
     """Number of frames at the start, at most MOST_APART, from which the whole body leaps into the rest of the clip."""
     if len(motion) < 4 * MOST_APART:
         return 0
-    steps = geodesic_movement(motion.local_rotations[: 4 * MOST_APART + 1])
-    steps = steps.mean(axis=1) if steps.ndim > 1 else steps
+    steps = geodesic_movement(motion.local_rotations[: 4 * MOST_APART + 1]).mean(axis=1)
     usual = float(np.median(steps[MOST_APART:]))
-    leaps = np.flatnonzero(steps[:MOST_APART] > np.maximum(APART, APART_SHARE * usual))
+    leaps = np.flatnonzero(steps[:MOST_APART] > max(APART, APART_SHARE * usual))
     return int(leaps[-1]) + 1 if leaps.size else 0
-
-
-def _joined(first: Motion, second: Motion) -> Motion:
-    """Two stretches of one motion, one after the other."""
-    local = None
-    if second.local_positions is not None and first.local_positions is not None:
-        local = np.concatenate([first.local_positions, second.local_positions])
-    return replace(
-        second,
-        local_rotations=np.concatenate([first.local_rotations, second.local_rotations]),
-        root_positions=np.concatenate([first.root_positions, second.root_positions]),
-        local_positions=local,
-    )
 
 
 def _mended(motion: Motion, limbs: list[Limb]) -> tuple[Motion, list[tuple[int, str]]]:

@@ -296,14 +296,8 @@ def _seam(left: Upright, entered: Upright, i: int, j: int, frame: int) -> Seam:
 
 def _appended(motion: Motion, after: Motion) -> Motion:
     """Two motions on the same joints, one after the other."""
-    local = [part.local_positions for part in (motion, after) if part.local_positions is not None]
-    turns = np.concatenate([motion.local_rotations, after.local_rotations])
-    return replace(
-        motion,
-        local_rotations=quat_continuous(turns),
-        root_positions=np.concatenate([motion.root_positions, after.root_positions]),
-        local_positions=np.concatenate(local) if local else None,
-    )
+    joined = motion.followed_by(after)
+    return replace(joined, local_rotations=quat_continuous(joined.local_rotations))
 
 
 def _held(motion: Motion, contacts: Array, frames: Sequence[int], decay: int) -> Motion:

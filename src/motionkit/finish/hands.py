@@ -23,9 +23,7 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS
 
 HANDS = tuple(JOINT_NAMES.index(name) for name in ("LeftHand", "RightHand"))
-FINGERS = (
-    2.25  # distance from wrist to finger tips relative to the length of the hand joint's end site; measured
-)
+FINGERS = 2.25  # distance from wrist to finger tips, relative to the end site of the hand joint; measured
 THICKNESS = 1.5  # cm; height of finger tips that lie on the ground; chosen
 FURTHEST = np.radians(100.0)  # largest bend; wrists bend by about 80 degrees, and fingers by the rest; chosen
 SMOOTH_FRAMES = 3  # frames to both sides over which a bend is averaged; chosen
@@ -45,14 +43,15 @@ def fingers_above(motion: Motion) -> Motion:
         size = float(np.linalg.norm(end)) * FINGERS
         if not size:
             continue
-        along = quat_rotate(turns[:, hand].astype(np.float64), end / np.linalg.norm(end))
-        across = cross(along, quat_rotate(turns[:, hand].astype(np.float64), np.array([0.0, 1.0, 0.0])))
+        turned = turns[:, hand].astype(np.float64)
+        along = quat_rotate(turned, end / np.linalg.norm(end))
+        across = cross(along, quat_rotate(turned, np.array([0.0, 1.0, 0.0])))
         across /= np.linalg.norm(across, axis=-1, keepdims=True)
         back = cross(across, along)
         angles = _bends(along[:, 1], back[:, 1], (positions[:, hand, 1] - THICKNESS) / size)
         if not angles.any():
             continue
-        bent = quat_multiply(expmap_to_quat(angles[:, None] * across), turns[:, hand].astype(np.float64))
+        bent = quat_multiply(expmap_to_quat(angles[:, None] * across), turned)
         above = turns[:, PARENTS[hand]].astype(np.float64)
         local = quat_normalize(quat_multiply(quat_inverse(above), bent))
         rotations[:, hand] = np.where(angles[:, None], local, rotations[:, hand])

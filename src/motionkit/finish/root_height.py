@@ -128,10 +128,8 @@ def _free_fall(positions: Array, fps: float, size: float) -> Array:
         fall = 0.5 * 100.0 * FREE_FALL * (after - before) / fps
         climb = (heights[after] - heights[before]) * fps / (after - before) - fall
         first = max(before - TAKE_OFF_FRAMES, 0)
-        if (
-            before > first
-            and climb - (heights[before] - heights[first]) * fps / (before - first) > HEIGHT.take_off
-        ):
+        climbs = (heights[before] - heights[first]) * fps / max(before - first, 1)
+        if before > first and climb - climbs > HEIGHT.take_off:
             continue
         frames = np.arange(before, after + 1)
         since, left = frames - before, after - frames

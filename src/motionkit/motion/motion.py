@@ -58,6 +58,18 @@ class Motion:
             local_positions=local,
         )
 
+    def followed_by(self, after: Motion) -> Motion:
+        """This motion and then another one on the same joints, at the same rate."""
+        local = None
+        if self.local_positions is not None and after.local_positions is not None:
+            local = np.concatenate([self.local_positions, after.local_positions])
+        return replace(
+            self,
+            local_rotations=np.concatenate([self.local_rotations, after.local_rotations]),
+            root_positions=np.concatenate([self.root_positions, after.root_positions]),
+            local_positions=local,
+        )
+
     def scaled(self, factor: float) -> Motion:
         """The same motion with every length multiplied by a factor."""
         local = None if self.local_positions is None else self.local_positions * factor
