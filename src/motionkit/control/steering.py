@@ -54,9 +54,9 @@ class SteeringOptions:
     anchor_halflife: float = 0.5
     own_share: float = 0.02
     smoothing: float = 0.2
-    settled_within: float = 0.08
+    settled_within: float = 0.03
     leave_anchor: float = 60.0
-    turn_speed: float = 5.4
+    turn_speed: float = 6.0
     turn_share: float = 0.5
     turn_aside: float = math.pi / 4
 

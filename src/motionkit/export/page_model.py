@@ -10,12 +10,15 @@ from __future__ import annotations
 import json
 import struct
 import zlib
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.gait_limits import MOST_ASIDE, MOST_ASIDE_RUNNING
 from motionkit.control.speeds import lateral_limit
+from motionkit.control.steering import GAIT_CHOICE, GOES_FROM, STANDS_BELOW, WALK_SPEED, SteeringOptions
 from motionkit.export.page_tracks import Track, type_tracks
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.features.reference import EMBEDDING_COUNT
@@ -25,7 +28,7 @@ from motionkit.inference.noise import Noise
 from motionkit.inference.step_weights import pack
 from motionkit.models.config import ModelConfig
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import MotionKind
+from motionkit.models.motion_type import RUN_SPEED, MotionKind
 from motionkit.motion.bvh import bvh_hierarchy
 
 FORMAT = "motionkit-page-3"
@@ -103,10 +106,23 @@ def _header(model: MotionModel, image: KernelImage) -> dict[str, Any]:
             "reference": layout.reference.start,
             "gain": layout.reference_gain,
         },
+        "steering": _steering(),
         "start": model_first_type(model),
         "slot": image.slot,
         "bvh": dict(zip(("hierarchy", "order"), bvh_hierarchy(model.character("default")), strict=True)),
     }
+
+
+def _steering() -> dict[str, float]:
+    """Settings of steering and of the choice of gaits, by their names in control.steering and control.gait_limits."""
+    bounds = {
+        "stands_below": STANDS_BELOW,
+        "goes_from": GOES_FROM,
+        "walk_speed": WALK_SPEED,
+        "run_speed": RUN_SPEED,
+    }
+    aside = {"most_aside": MOST_ASIDE, "most_aside_running": MOST_ASIDE_RUNNING}
+    return {**asdict(SteeringOptions()), **asdict(GAIT_CHOICE), **bounds, **aside}
 
 
 def _types(model: MotionModel, tracks: dict[str, list[Track]]) -> list[dict[str, Any]]:
@@ -127,9 +143,12 @@ def _types(model: MotionModel, tracks: dict[str, list[Track]]) -> list[dict[str,
         out.append(
             {
                 "name": name,
-                "gait": None if gait is None else {"speed": gait.speed, "facing": gait.facing},
+                "gait": None
+                if gait is None
+                else {"speed": gait.speed, "facing": gait.facing, "runs": gait.runs},
                 "seconds": model.phase_seconds(name),
                 "steered": kind.kind.steered,
+                "stands": kind.kind is MotionKind.STANCE,
                 "speeds": model.speed_range(name),
                 "lateral": round(lateral_limit(model, name), 1),
                 "performed": kind.kind is MotionKind.PERFORMANCE,

@@ -3,7 +3,7 @@
 import { free, typeNumber } from "./kernel.js";
 import { Follower } from "./path.js";
 import { FirstSteps, Player } from "./player.js";
-import { STANDS_BELOW, Springs, nearestWish, stands, steeredType } from "./springs.js";
+import { Springs, nearestWish, steeredType } from "./springs.js";
 
 const [BLEND, DEFAULT_SECONDS] = [12, 2]; // frames of a change of type; default seconds of a performance
 const NOTHING = { velocity: [0, 0], facing: null, type: null };
@@ -12,7 +12,7 @@ export class Driver {
   /** @param {object} model result of readModel @param {number} choice chooses among recordings */
   constructor(model, choice = 0) {
     const type = typeNumber(model, model.start);
-    Object.assign(this, { model, choice, wish: NOTHING, type, springs: new Springs(model.fps), player: new Player(model, choice), played: -1 });
+    Object.assign(this, { model, choice, wish: NOTHING, type, springs: new Springs(model), player: new Player(model, choice), played: -1 });
     Object.assign(this, { follower: null, performance: null, waiting: null, firstSteps: new FirstSteps(model, choice) });
     this.weights = free(model, type).weights;
     Object.assign(this, { from: this.weights, target: type, blended: BLEND });
@@ -73,8 +73,8 @@ export class Driver {
     const kind = wish.type === null ? steeredType(model, velocity ?? [0, 0], wish.facing) : typeNumber(model, wish.type);
     if (velocity === null) return this.#recorded(kind);
     let { facing } = wish;
-    if (facing === null && Math.hypot(...velocity) >= STANDS_BELOW) facing = Math.atan2(...velocity) - (model.types[kind].gait?.facing ?? 0);
-    const [nearest, turned] = nearestWish(model.types[kind], velocity, facing);
+    if (facing === null && Math.hypot(...velocity) >= model.steering.stands_below) facing = Math.atan2(...velocity) - (model.types[kind].gait?.facing ?? 0);
+    const [nearest, turned] = nearestWish(model, model.types[kind], velocity, facing);
     const slip = this.springs.settled(nearest);
     const trajectory = this.springs.trajectory(nearest, turned);
     if (!model.types[kind].steered) return this.#recorded(kind, trajectory);
@@ -86,7 +86,7 @@ export class Driver {
   // Whether the character starts a gait from standing in this frame.
   #goesFromStanding(kind) {
     const { types } = this.model;
-    return !stands(types[kind]) && this.target !== null && stands(types[this.target]);
+    return !types[kind].stands && this.target !== null && types[this.target].stands;
   }
 
   // The controls of a type with reference recordings.
@@ -113,7 +113,7 @@ export class Driver {
     if (at < shown.controls.length - BLEND / 2) kind = shown.type;
     else asked.weights = otherwise.weights;
     // A standing character can travel during a performance; a moving one keeps its trajectory.
-    const moves = this.follower !== null || Math.hypot(...(this.wish.velocity ?? [0, 0])) >= STANDS_BELOW;
+    const moves = this.follower !== null || Math.hypot(...(this.wish.velocity ?? [0, 0])) >= this.model.steering.stands_below;
     if (!asked.trajectory && moves) asked = { ...asked, trajectory };
     return [kind, asked];
   }

@@ -3,7 +3,6 @@
 // Does the same as Python's RolloutState and CharacterStream around the kernels. The kernels' memory comes from the
 // model file (kernel_image.py); model.addresses has the addresses of its arrays.
 
-import { stands } from "./springs.js";
 
 const PAGE = 65536; // bytes of a page of WebAssembly memory
 const NEITHER = () => 0;
@@ -86,7 +85,7 @@ export class Character {
   step(asked) {
     const { kernel, model, mean } = this;
     // The root-slip correction acts on all bodies but standing ones, like root_hold in Python.
-    const moving = model.types.reduce((sum, type, i) => (stands(type) ? sum : sum + asked.weights[i]), 0);
+    const moving = model.types.reduce((sum, type, i) => (type.stands ? sum : sum + asked.weights[i]), 0);
     this.feet_hold[0] = asked.slip * moving;
     const share = this.#ask(asked);
     this.#step();

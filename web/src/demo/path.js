@@ -2,7 +2,7 @@
 
 import { free, typeNumber } from "./kernel.js";
 import { FirstSteps, Player, askedSpeed } from "./player.js";
-import { RUN_SPEED, TRAJECTORY, WALK_SPEED, stands, steeredType, turned } from "./springs.js";
+import { TRAJECTORY, steeredType, turned } from "./springs.js";
 
 const SPACING = 2; // cm between points of a path
 const [AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [60, 20, 130, 10, 8]; // cm searched ahead for the nearest point; cm/s at least, by default and at stops; cm before a stop
@@ -62,8 +62,8 @@ export class Follower {
     const number = typeNumber(model, type);
     Object.assign(this, { model, path, type: number, known: model.types[number], arc: 0, stood: null, began: false });
     this.stops = stops.map(([at, seconds]) => [Math.min(path.arcs[at], path.length), seconds]);
-    this.stand = model.types.reduce((least, one, n) => (stands(one) && !(model.types[least]?.gait.speed <= one.gait.speed) ? n : least), -1);
-    this.walk = steeredType(model, [0, WALK_SPEED], 0);
+    this.stand = model.types.reduce((least, one, n) => (one.stands && !(model.types[least]?.gait.speed <= one.gait.speed) ? n : least), -1);
+    this.walk = steeredType(model, [0, model.steering.walk_speed], 0);
     Object.assign(this, { player: new Player(model, choice, 0), firstSteps: new FirstSteps(model, choice), speeds: this.#profile(speed) });
   }
 
@@ -84,7 +84,7 @@ export class Follower {
     const asked = { ...free(model, type), weights, trajectory, slip: 0 };
     if (standing) return asked;
     if (known.steered) {
-      if (stood !== null && !stands(known)) this.firstSteps.begin(type, speed);
+      if (stood !== null && !known.stands) this.firstSteps.begin(type, speed);
       return this.firstSteps.shown(type, asked);
     }
     if (!this.began) this.player.begin(type, speed);
@@ -125,7 +125,7 @@ export class Follower {
     const { arc, known, path, speeds, stand, type, walk } = this;
     const reach = (speeds[path.nearest(arc)] * TYPE_BLEND) / 2 / this.model.fps;
     const weights = new Float32Array(this.model.types.length);
-    const runs = known.gait?.speed > RUN_SPEED && known.speeds?.[0] > this.model.types[walk].speeds?.[0];
+    const runs = known.gait?.runs && known.speeds?.[0] > this.model.types[walk].speeds?.[0];
     for (let n = 0; n < BLEND_SAMPLES; n++) {
       const slow = runs && speeds[path.nearest(arc - reach + (n * 2 * reach) / (BLEND_SAMPLES - 1))] < TOO_SLOW * known.speeds[0];
       weights[slow ? walk : type] += (1 - (stand < 0 ? 0 : standing)) / BLEND_SAMPLES;

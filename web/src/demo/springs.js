@@ -1,19 +1,6 @@
 // Predicts the next second of a steered character, like Python's Steering (control/steering.py).
 
 export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead of the present one
-export const STANDS_BELOW = 15; // cm/s; below this speed the character stands
-const GOES_FROM = 25; // cm/s; from this speed on, standing types are excluded if a gait exists
-// Largest angle between heading and a gait's usual one: beyond it, a walk hardly lifts its feet and a run slides.
-const [MOST_ASIDE, MOST_ASIDE_RUNNING] = [Math.PI / 4, Math.PI / 6]; // radians
-export const [RUN_SPEED, WALK_SPEED] = [200, 130]; // cm/s; gaits above RUN_SPEED are runs, walks are about WALK_SPEED
-// Cost per radian of turning, and per radian of walking backwards; smoothing of the measured velocity, per frame; cm from
-// a held position at which it is given up; share of the requested speed that may still be missing.
-const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR, SETTLED_WITHIN] = [3, 0.2, 0.2, 60, 0.08];
-const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02]; // s, for velocity, heading and position; weight of the body in the spring per frame
-
-// Most turning speed in radians/s; least share of the speed of a body that turns back; largest angle in radians between
-// velocity and facing while a walk turns.
-const [TURN_SPEED, TURN_SHARE, TURN_ASIDE] = [5.4, 0.5, Math.PI / 4];
 
 /** The equivalent angle between -pi and pi. */
 export function nearestTurn(angle) {
@@ -43,58 +30,54 @@ export function turned(angle, x, z) {
   return [cosine * x + sine * z, cosine * z - sine * x];
 }
 
-/** Whether a type stands still. */
-export function stands({ steered, gait }) {
-  return steered && gait !== null && gait.speed < STANDS_BELOW;
-}
-
 /** The index of the steered type for a requested velocity [x, z] (cm/s) and facing (radians, null for any). */
 export function steeredType(model, velocity, facing) {
   const all = model.types.map((type, number) => ({ ...type, number }));
   const steered = all.filter((type) => type.steered);
   const phaseless = all.filter((type) => !type.seconds);
-  const speed = Math.hypot(...velocity);
-  const going = speed >= GOES_FROM ? steered.filter((type) => !stands(type)) : [];
+  const [speed, set] = [Math.hypot(...velocity), model.steering];
+  const going = speed >= set.goes_from ? steered.filter((type) => !type.stands) : [];
   const known = [going, steered, phaseless, all].find(({ length }) => length);
   const wanted = facing === null ? 0 : Math.atan2(...velocity) - facing;
   const cost = ({ gait }) => {
     if (!gait) return Infinity;
     const off = Math.abs(Math.sqrt(speed) - Math.sqrt(gait.speed));
-    if (speed < STANDS_BELOW) return off;
-    return off + TURN_COST * (Math.abs(nearestTurn(wanted - gait.facing)) + BACKWARDS_SHARE * Math.abs(gait.facing));
+    if (speed < set.stands_below) return off;
+    return off + set.turn_cost * (Math.abs(nearestTurn(wanted - gait.facing)) + set.backwards_share * Math.abs(gait.facing));
   };
   return known.reduce((best, type) => (cost(type) < cost(best) ? type : best)).number;
 }
 
 /** The velocity [x, z] and facing nearest to the requested ones that a steered type can step (Python's GaitLimits). */
-export function nearestWish(type, velocity, facing) {
+export function nearestWish({ steering }, type, velocity, facing) {
   const speed = Math.hypot(...velocity);
-  if (stands(type)) return [[0, 0], facing];
-  if (speed < STANDS_BELOW || !type.steered || !type.gait) return [velocity, facing];
+  if (type.stands) return [[0, 0], facing];
+  if (speed < steering.stands_below || !type.steered || !type.gait) return [velocity, facing];
   const [slowest, fastest] = type.speeds ?? [0, Infinity];
   const share = Math.min(Math.max(speed, slowest), fastest) / speed;
   if (facing !== null) {
     const own = Math.atan2(...velocity) - type.gait.facing;
     const aside = nearestTurn(facing - own);
-    const most = type.gait.speed > RUN_SPEED ? MOST_ASIDE_RUNNING : MOST_ASIDE;
+    const most = type.gait.runs ? steering.most_aside_running : steering.most_aside;
     if (Math.abs(aside) > most) facing = own + Math.sign(aside) * most;
   }
   return [[share * velocity[0], share * velocity[1]], facing];
 }
 
 export class Springs {
-  constructor(fps) {
-    Object.assign(this, { fps, velocity: [0, 0], acceleration: [0, 0], measured: [0, 0], facing: null, before: null, anchor: null });
+  /** @param {{fps: number, steering: object}} model result of readModel, with the settings of SteeringOptions */
+  constructor({ fps, steering }) {
+    Object.assign(this, { fps, set: steering, velocity: [0, 0], acceleration: [0, 0], measured: [0, 0], facing: null, before: null, anchor: null });
   }
 
   /** Records the body's place, once per frame; free: nobody steers, so the spring follows the body. */
   observe(x, z, heading, free) {
     const before = this.before ?? [x, z, heading];
     this.before = [x, z, heading];
-    const share = free ? 1 : OWN_SHARE;
+    const share = free ? 1 : this.set.own_share;
     for (const axis of [0, 1]) {
       const step = (this.before[axis] - before[axis]) * this.fps;
-      this.measured[axis] += SMOOTHING * (step - this.measured[axis]);
+      this.measured[axis] += this.set.smoothing * (step - this.measured[axis]);
       this.velocity[axis] += share * (this.measured[axis] - this.velocity[axis]);
       this.acceleration[axis] *= 1 - share;
     }
@@ -106,7 +89,7 @@ export class Springs {
   /** The 24 trajectory numbers for a requested velocity [x, z] and facing (null keeps it); call observe before. */
   trajectory(velocity, facing) {
     const [x, z, heading] = this.before;
-    const stands = Math.hypot(...velocity) < STANDS_BELOW;
+    const stands = Math.hypot(...velocity) < this.set.stands_below;
     if (facing !== null) [velocity, facing] = this.#turning(velocity, facing);
     const goal = stands ? [0, 0] : velocity;
     const anchor = stands ? this.#hold(x, z) : null;
@@ -122,25 +105,26 @@ export class Springs {
   /** Strength of the root-slip correction, 0 to 1: zero while the body still has to turn or speed up. */
   settled(velocity) {
     const speed = Math.hypot(...velocity);
-    if (speed < STANDS_BELOW) return 1;
+    if (speed < this.set.stands_below) return 1;
     const along = (this.velocity[0] * velocity[0] + this.velocity[1] * velocity[1]) / speed;
-    return Math.min(1, Math.max(0, 1 - (1 - along / speed) / SETTLED_WITHIN));
+    return Math.min(1, Math.max(0, 1 - (1 - along / speed) / this.set.settled_within));
   }
 
   // The velocity and facing to approach: a body turns about where it faces, and slows down to turn back.
   #turning(velocity, facing) {
+    const { set } = this;
     const off = nearestTurn(facing - this.facing[0]);
-    const most = (2 * TURN_SPEED) / rate(TURN_HALFLIFE); // a spring whose goal stays at distance d ahead of it moves by d rate / 2
-    const share = Math.min(Math.max(1 + Math.cos(off), TURN_SHARE), 1);
-    const beyond = Math.max(Math.abs(off) - (Math.hypot(...velocity) > RUN_SPEED ? 0 : TURN_ASIDE), 0);
+    const most = (2 * set.turn_speed) / rate(set.turn_halflife); // a spring whose goal stays at distance d ahead of it moves by d rate / 2
+    const share = Math.min(Math.max(1 + Math.cos(off), set.turn_share), 1);
+    const beyond = Math.max(Math.abs(off) - (Math.hypot(...velocity) > set.run_speed ? 0 : set.turn_aside), 0);
     return [turned(-Math.sign(off) * beyond, ...velocity).map((value) => share * value), this.facing[0] + Math.min(Math.max(off, -most), most)];
   }
 
   // The position and heading to hold, once the spring has nearly stopped; null before.
   #hold(x, z) {
-    const far = this.anchor && Math.hypot(this.anchor[0] - x, this.anchor[1] - z) > LEAVE_ANCHOR;
+    const far = this.anchor && Math.hypot(this.anchor[0] - x, this.anchor[1] - z) > this.set.leave_anchor;
     if (!this.anchor || far) {
-      if (Math.hypot(...this.velocity) > STANDS_BELOW) return null;
+      if (Math.hypot(...this.velocity) > this.set.stands_below) return null;
       this.anchor = [x, z, this.facing[0]];
     }
     return this.anchor;
@@ -151,28 +135,28 @@ export class Springs {
     const times = TRAJECTORY.map((offset) => offset / this.fps);
     if (anchor) {
       const away = this.before[axis] - anchor[axis];
-      return times.map((t) => spring(away, this.velocity[axis], rate(ANCHOR_HALFLIFE), t)[0] - away);
+      return times.map((t) => spring(away, this.velocity[axis], rate(this.set.anchor_halflife), t)[0] - away);
     }
     const away = this.velocity[axis] - goal;
-    return times.map((t) => goal * t + travel(away, this.acceleration[axis], rate(HALFLIFE), t));
+    return times.map((t) => goal * t + travel(away, this.acceleration[axis], rate(this.set.halflife), t));
   }
 
   // The turn from the present heading at each trajectory time.
   #turns(wanted, heading) {
     const away = nearestTurn(this.facing[0] - wanted);
     const begin = nearestTurn(this.facing[0] - heading) - away;
-    return TRAJECTORY.map((offset) => begin + spring(away, this.facing[1], rate(TURN_HALFLIFE), offset / this.fps)[0]);
+    return TRAJECTORY.map((offset) => begin + spring(away, this.facing[1], rate(this.set.turn_halflife), offset / this.fps)[0]);
   }
 
   #advance(goal, wanted) {
     const t = 1 / this.fps;
     for (const axis of [0, 1]) {
-      const [away, speed] = spring(this.velocity[axis] - goal[axis], this.acceleration[axis], rate(HALFLIFE), t);
+      const [away, speed] = spring(this.velocity[axis] - goal[axis], this.acceleration[axis], rate(this.set.halflife), t);
       this.acceleration[axis] = speed;
       this.velocity[axis] = goal[axis] + away;
     }
     const away = nearestTurn(this.facing[0] - wanted);
-    const [off, turning] = spring(away, this.facing[1], rate(TURN_HALFLIFE), t);
+    const [off, turning] = spring(away, this.facing[1], rate(this.set.turn_halflife), t);
     this.facing = [this.facing[0] - away + off, turning];
   }
 }
