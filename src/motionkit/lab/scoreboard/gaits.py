@@ -40,7 +40,8 @@ def gaits_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: each gait alone, circles beside motion matching, and the steps of all types."""
     takes = trial.alone(lambda share: progress(0.6 * share))
     default = {kind: [take.default for take in found] for kind, found in takes.items()}
-    parts = [_steadiness(trial, default), _steps(trial, default)]
+    own = {kind: [shown.default for take in found for shown in take.shown()] for kind, found in takes.items()}
+    parts = [_steadiness(trial, default), _steps(trial, own)]
     if circles := _circles(trial, lambda share: progress(0.6 + 0.4 * share)):
         parts.append(circles)
     settings = trial.settings
@@ -51,7 +52,8 @@ def gaits_section(trial: Trial, progress: Progress) -> Section:
         f"slip: mean speed over the ground of toes less than {LOW:g} cm above a standing one; arm swing: standard "
         "deviation of the hands' places ahead of the hips; motion matching: over the training clips, transitions not "
         f"blended, feet locked; {settings.repeats} characters per circle",
-        f"steps: toes put down a second; types with fewer than {FEWEST_STEPS:g} in the recordings have no target",
+        f"steps: toes put down a second where the type is shown; types with fewer than {FEWEST_STEPS:g} in the "
+        "recordings have no target",
     ]
     return Section(
         "gaits",
@@ -96,17 +98,14 @@ def _steadiness(trial: Trial, default: dict[str, list[Body]]) -> tuple[Table, li
     return Table("Steadiness", columns, rows), goals
 
 
-def _steps(trial: Trial, default: dict[str, list[Body]]) -> tuple[Table, list[Goal]]:
+def _steps(trial: Trial, own: dict[str, list[Body]]) -> tuple[Table, list[Goal]]:
     rows: list[tuple[Cell, ...]] = []
     asked, failing = [], []
-    for kind, bodies in default.items():
+    for kind, bodies in own.items():
         recorded = [s.body for s in trial.real.of_type(kind)]
         if not recorded:
             continue
-        made = float(np.mean([steps_a_second(body) for body in bodies]))
-        real = float(
-            np.sum([steps_a_second(b) * b.seconds for b in recorded]) / np.sum([b.seconds for b in recorded])
-        )
+        made, real = _rate(bodies), _rate(recorded)
         rows.append((kind, made, real, made / real if real else None))
         if real >= FEWEST_STEPS and trial.model.kind(kind) is not MotionKind.PERFORMANCE:
             asked.append(kind)
@@ -114,6 +113,13 @@ def _steps(trial: Trial, default: dict[str, list[Body]]) -> tuple[Table, list[Go
                 failing.append(kind)
     goal = all_of("steps a second within 1.2 times recorded: share of types", asked, failing)
     return Table("Steps", ("type", "steps a second", "recorded", "/ recorded"), rows), [goal]
+
+
+def _rate(bodies: list[Body]) -> float:
+    """Steps a second over all frames of some bodies."""
+    return float(
+        np.sum([steps_a_second(b) * b.seconds for b in bodies]) / np.sum([b.seconds for b in bodies])
+    )
 
 
 def _circles(trial: Trial, progress: Progress) -> tuple[Table, list[Goal]] | None:

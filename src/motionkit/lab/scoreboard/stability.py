@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from motionkit.metrics.smoothness import mean_jerk
 from motionkit.models.model import MotionModel
 from motionkit.tables import Table
 from motionkit.training.verdict.real import MotionProfile, RealMotion
-from motionkit.training.verdict.rolling import Plan, Progress
+from motionkit.training.verdict.rolling import Plan, Progress, Take
 
 FREEZE_SECONDS = 5.0
 # Frozen: over FREEZE_SECONDS the joints are slower than this share of the lower speed limit of the type's profile.
@@ -93,7 +94,7 @@ def _mixed(recorded: dict[str, tuple[float, float]], parts: tuple[TypePart, ...]
 
 def _row(
     name: str,
-    body: Body,
+    take: Take,
     real: RealMotion,
     recorded: dict[str, tuple[float, float]],
     parts: tuple[TypePart, ...],
@@ -101,6 +102,7 @@ def _row(
     """Return one row of the table: a roll-out compared with recordings of the same types in the same shares."""
     profiles: list[MotionProfile] = [m for m in (real.profile(part.type) for part in parts) if m is not None]
     slowest = min((m.speeds[0] for m in profiles), default=0.0) * FROZEN_SHARE
+    body = take.default
     finite = bool(np.isfinite(body.positions).all())
     if not finite:
         return {"type": name, "finite": False}
@@ -110,7 +112,7 @@ def _row(
     return {
         "type": name,
         "finite": True,
-        "frozen, s": frozen_seconds(body, slowest),
+        "frozen, s": sum(frozen_seconds(shown.default, slowest) for shown in take.shown()),
         "foot height drift, cm": height_drift(body),
         "foot height − real, cm": _floating(body, real, parts),
         "lowest root, cm": float(heights.min()),
@@ -151,24 +153,24 @@ def stability_section(trial: Trial, progress: Progress) -> Section:
     alone = [] if bare is None else trial.roll(plans, lambda x: progress(share + share * x), bare)
     recorded = {kind: real_measures(real, kind) for kind in kinds}
 
-    def table(title: str, bodies: list[Body]) -> tuple[Table, list[dict]]:
+    def table(title: str, takes: list[Take]) -> tuple[Table, list[dict]]:
         rows = [
-            _row(name, body, real, recorded, plan.parts)
-            for name, body, plan in zip(names, bodies, plans, strict=True)
+            _row(name, take, real, recorded, plan.parts)
+            for name, take, plan in zip(names, takes, plans, strict=True)
         ]
         columns = max((tuple(row) for row in rows), key=len)
         return Table(title, columns, [tuple(row.get(column) for column in columns) for row in rows]), rows
 
     title = f"{settings.stability_seconds:g} s per type, {settings.mixed_seconds:g} s of random type changes"
-    first, rows = table(title, [take.default for take in takes])
-    tables = [first, table(f"{title}: raw", [take.raw for take in takes])[0]]
+    first, rows = table(title, takes)
+    tables = [first, table(f"{title}: raw", [replace(take, default=take.raw) for take in takes])[0]]
     if alone:
-        tables.append(table(f"{title}: without references", [take.default for take in alone])[0])
+        tables.append(table(f"{title}: without references", alone)[0])
     notes = [
         "as synthesize makes them by default; raw: the same with feet not locked; without references: with --reference "
         "none",
         f"frozen: seconds in windows of {FREEZE_SECONDS:g} s whose joints are slower than {FROZEN_SHARE:g} times the "
-        "lower speed limit of the type's motion profile",
+        "lower speed limit of the type's motion profile, where the type is shown",
         "foot height: height of the lower foot above the floor, lower quartile over frames; drift: last third of the "
         "roll-out minus the first; − real: minus that of the type's recordings",
         "pose distance: mean distance per joint to the nearest training pose of any type; / real: divided by that of "

@@ -97,9 +97,13 @@ def _measured(
     if recorded is None:
         return None
     learnt = recorded_poses([stretch.body for stretch in stretches if stretch.split == "train"])
-    mine = [poses_of(take.default) for take in takes]
+    shown = [[poses_of(part.default) for part in take.shown()] for take in takes]
+    first = [parts[0] for parts in shown]
+    mine = [poses for parts in shown for poses in parts if len(poses) >= WINDOW]
+    if not mine:
+        return None
     places = [recorded.windows.places(poses) for poses in mine]
-    gap, real_gap = mean_pose_gap(mine), mean_pose_gap(recorded.poses)
+    gap, real_gap = mean_pose_gap(first), mean_pose_gap(recorded.poses)
     drawn, drawn_learnt = drawn_share(places, recorded.lengths), None
     near = float(np.concatenate([place.distances for place in places]).mean())
     stretch = max(place.longest_stretch() for place in places)
@@ -128,6 +132,7 @@ def _notes(settings: EvaluationSettings) -> list[str]:
         f"{settings.seeds} roll-outs of {settings.accuracy_seconds:g} s per type, and one of {LONG_SECONDS:g} s, as "
         f"synthesize makes them by default; poses at {POSE_RATE:g} Hz, relative to the ground below the root and to "
         "the heading, in cm per joint",
+        "measured where the type is shown, without the stands and run-ups that synthesis adds",
         "apart: mean distance of the poses of two seeds, or of two recordings, at equal times from their beginnings",
         "drawn on: share of the recordings, by length, that half a second of some roll-out is nearest to, mirror "
         "images included: of those to learn from, and of all, held-out ones too; nearest recording: mean distance of "

@@ -20,7 +20,7 @@ from motionkit.metrics.touch import FALL_ERROR, GROUPS, hover_share, lowest_poin
 from motionkit.metrics.value import MetricValue
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.tables import Cell, Table
-from motionkit.training.verdict.rolling import Progress
+from motionkit.training.verdict.rolling import Progress, Take
 
 LEAP_LIMIT = 0.1  # leaps a minute, in any type but gaits
 FLIP = 60.0  # degrees that the hips turn from one frame to the next in a body that flips
@@ -49,7 +49,8 @@ def visible_section(trial: Trial, progress: Progress) -> Section:
     gaits = {kind for kind in default if trial.model.kind(kind).steered}
     handstands = [kind for kind in default if bears_on_hands(trial.real, kind)]
     tables, goals = [], []
-    for part in (_leaps(default, raw, real, gaits), _touch(default, raw, real), _lowest(default, raw, real, handstands),
+    own = {kind: [shown for take in found for shown in take.shown()] for kind, found in takes.items()}
+    for part in (_leaps(default, raw, real, gaits), _touch(own, real), _lowest(default, raw, real, handstands),
                  _flights(default, raw, real), _gaits(default, real, gaits)):  # fmt: skip
         tables.append(part[0])
         goals += part[1]
@@ -58,6 +59,7 @@ def visible_section(trial: Trial, progress: Progress) -> Section:
         f"{settings.seeds} roll-outs of {settings.accuracy_seconds:g} s per type, as synthesize makes them by default; "
         "raw: the same with feet not locked; recorded: all recordings of the type; metrics: docs/metrics.md, the "
         "ground at y = 0 for all",
+        "planted and hovering: where the type is shown, without the stands and run-ups that synthesis adds",
         f"flipped: roll-outs whose hips turn by more than {FLIP:g} degrees from one frame to the next",
         f"free fall: share of the flights of 0.2 s whose acceleration is within {FALL_ERROR:g} m/s^2 of "
         f"{FREE_FALL:g} m/s^2",
@@ -124,15 +126,16 @@ def flips(body: Body) -> bool:
     return bool((geodesic_movement(body.rotations[:, :1]) > FLIP).any())
 
 
-def _touch(default: Bodies, raw: Bodies, real: Bodies) -> Part:
+def _touch(own: dict[str, list[Take]], real: Bodies) -> Part:
     rows: list[tuple[Cell, ...]] = []
     unplanted, hovering = [], []
-    kinds = [kind for kind in default if real[kind]]
+    kinds = [kind for kind in own if real[kind]]
     for kind in kinds:
+        bodies = [take.default for take in own[kind]], [take.raw for take in own[kind]]
         planted = _mean(planted_share, real[kind])
         hover = _mean(hover_share, real[kind])
-        mine, mine_raw = (_mean(planted_share, bodies[kind]) for bodies in (default, raw))
-        hovers, hovers_raw = (_mean(hover_share, bodies[kind]) for bodies in (default, raw))
+        mine, mine_raw = (_mean(planted_share, each) for each in bodies)
+        hovers, hovers_raw = (_mean(hover_share, each) for each in bodies)
         ratio = mine / planted if planted else None
         rows.append(
             (kind, planted, ratio, mine_raw / planted if planted else None, hover, hovers, hovers_raw)

@@ -11,12 +11,13 @@ from typing import TypeVar
 
 import numpy as np
 
+from motionkit.arrays import spans
 from motionkit.control.drive import Driver, together
 from motionkit.control.follow import follow_path
 from motionkit.control.path import Path2D
 from motionkit.control.script import TypePart
 from motionkit.control.steering import commanded
-from motionkit.control.synthesize import SynthesisOptions, synthesize
+from motionkit.control.synthesize import Synthesis, SynthesisOptions, synthesize
 from motionkit.data.workers import Map
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.noise import Noise
@@ -42,10 +43,19 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Take:
-    """One roll-out: as users get it by default, with feet locked, and as the network's raw output."""
+    """One roll-out: as users get it by default, with feet locked, and as the network's raw output.
+
+    Attributes:
+        own: ranges of frames (start, end) that show the asked types, not the stands and run-ups that synthesis adds.
+    """
 
     default: Body
     raw: Body
+    own: tuple[tuple[int, int], ...] = ()
+
+    def shown(self) -> list[Take]:
+        """Return the ranges that show the asked types; all of it if they are not known."""
+        return [self.cut(start, end) for start, end in self.own] or [self]
 
     def cut(self, start: int, end: int) -> Take:
         """Return frames start to end (exclusive)."""
@@ -110,12 +120,15 @@ def _roll_batch(task: tuple[MotionModel, list[Plan], Noise]) -> list[Take]:
     model, plans, noise = task
     options = SynthesisOptions(len(plans), plans[0].seed, noise, raw=True)
     made = synthesize(model, [plan.parts for plan in plans], options)
-    return [_take(each.motion, each.raw) for each in made.motions]
+    return [_take(each, plan) for each, plan in zip(made.motions, plans, strict=True)]
 
 
-def _take(motion: Motion, raw: Motion | None) -> Take:
-    assert raw is not None, "the options ask for it"
-    return Take(body_of(motion), body_of(raw))
+def _take(made: Synthesis, plan: Plan) -> Take:
+    assert made.raw is not None, "the options ask for it"
+    asked = [each.type in {part.type for part in plan.parts} for each in made.types]
+    lengths = [max(1, round(each.seconds * made.motion.fps)) for each in made.types]
+    own = spans(np.repeat(asked, lengths)[: len(made.motion)])
+    return Take(body_of(made.motion), body_of(made.raw), tuple(own))
 
 
 def roll_paths(
@@ -137,7 +150,8 @@ def roll_paths(
 def _follow(task: tuple[MotionModel, Path2D, int, Noise]) -> Walk:
     model, path, seed, noise = task
     found = follow_path(model, path, SynthesisOptions(1, seed, noise, raw=True))
-    return Walk(_take(found.motion, found.raw), found.finished, found.part_frames)
+    assert found.raw is not None, "the options ask for it"
+    return Walk(Take(body_of(found.motion), body_of(found.raw)), found.finished, found.part_frames)
 
 
 @dataclass(frozen=True, eq=False)
