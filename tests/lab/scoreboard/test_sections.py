@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from motionkit.control.drive import Driver, Wish
+from motionkit.control.path import shape_path
 from motionkit.data.dataset import Dataset
 from motionkit.lab.scoreboard.board import evaluate_model
 from motionkit.lab.scoreboard.limits import acceleration_limit, turn_limit
@@ -30,6 +32,7 @@ from motionkit.metrics.leaps import fastest_turn
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.training.verdict.real import RealMotion
+from motionkit.training.verdict.rolling import Driven
 from synthetic_motions import make_idle, make_walk
 
 from .conftest import TINY
@@ -78,6 +81,26 @@ def test_every_path_of_known_types_is_measured(make_trial, monkeypatch: pytest.M
     assert [row[0] for row in second.rows] == [trial.name for trial in asked]
     off = next(goal for goal in section.goals if "speed off by" in goal.what)
     assert off.value is not None and not off.reached  # it hardly moves
+
+
+def test_motion_matching_plays_recorded_frames_where_they_are_asked_for(make_trial) -> None:
+    matched = make_trial().matched
+    assert matched.knows("walking") and not matched.knows("walking", "unknown")
+
+    def steer(frame: int, driver: Driver) -> None:
+        driver.set_wish(Wish((0.0, 100.0)))
+
+    for body in (
+        matched.along(shape_path("line", 2.0, ["walking"], None)),
+        matched.live(Driven("walking", steer), 60),
+    ):
+        library = matched.matching.library
+        recorded = library.features[:, library.poses][:, 1:].reshape(-1, 22, 3)[:, 9:, 1]
+        apart = np.abs(recorded - body.positions[len(body) // 2, 10:, 1])
+        assert (
+            len(body) > 30 and apart.max(axis=1).min() < 0.5
+        )  # cm; trunk and arms, which locked feet leave alone
+        assert body.positions[-1, 0, 2] > body.positions[0, 0, 2] + 20.0
 
 
 def test_gaits_to_follow_paths_with_need_no_names(tiny_model: MotionModel) -> None:

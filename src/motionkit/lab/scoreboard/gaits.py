@@ -11,16 +11,13 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.path import shape_path
-from motionkit.lab.matched_path import matched_paths
-from motionkit.lab.scoreboard.paths import leaning, steered_types, steps_a_second
+from motionkit.lab.scoreboard.paths import leaning, slip, steered_types, steps_a_second
 from motionkit.lab.scoreboard.report import Goal, Section, all_of, at_least, at_most
 from motionkit.lab.scoreboard.starts import LOW
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.metrics.body import Body
-from motionkit.metrics.ground import STANDING_TOE, TOES, ground_speed
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.motion_type import MotionKind
-from motionkit.motion.floor import foot_positions
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.tables import Cell, Table
 from motionkit.training.verdict.rolling import Progress, grouped, roll_paths
@@ -124,7 +121,7 @@ def _rate(bodies: list[Body]) -> float:
 
 def _circles(trial: Trial, progress: Progress) -> tuple[Table, list[Goal]] | None:
     gaits = steered_types(trial.model)
-    if gaits is None or not set(gaits) <= set(trial.dataset.types):
+    if gaits is None or not trial.matched.knows(*gaits):
         return None
     kinds = tuple(dict.fromkeys(gaits))
     trials = [
@@ -134,7 +131,7 @@ def _circles(trial: Trial, progress: Progress) -> tuple[Table, list[Goal]] | Non
     repeats = trial.settings.repeats
     tasks = [(path, seed) for *_, path in trials for seed in trial.seeds(repeats)]
     walks = roll_paths(trial.model, tasks, trial.settings.noise, trial.each, progress)
-    matched = matched_paths(trial.model, trial.dataset, [path for *_, path in trials])
+    matched = [trial.matched.along(path) for *_, path in trials]
     swings = {kind: _recorded_swing(trial, kind) for kind in kinds}
     rows: list[tuple[Cell, ...]] = []
     goals: list[Goal] = []
@@ -156,16 +153,6 @@ def _circles(trial: Trial, progress: Progress) -> tuple[Table, list[Goal]] | Non
         "leaning, degrees", "needed, degrees",
     )  # fmt: skip
     return Table("Circles", columns, rows), goals
-
-
-def slip(bodies: Sequence[Body]) -> float:
-    """Return the mean speed of low toes over the ground in cm/s, over all frames of some bodies; 0 without any."""
-    found = []
-    for body in bodies:
-        toes = foot_positions(body.positions)[:, list(TOES)].astype(np.float64)
-        found.append((ground_speed(toes) * body.fps)[toes[1:, :, 1] < STANDING_TOE + LOW])
-    speeds = np.concatenate(found)
-    return float(speeds.mean()) if len(speeds) else 0.0
 
 
 def arm_swing(bodies: Sequence[Body]) -> float:

@@ -12,17 +12,20 @@ from motionkit.control.path import METRE, SHAPES, Path2D, PathPart, make_path, s
 from motionkit.control.speeds import other_speeds, part_speeds
 from motionkit.control.steering import usual_gaits
 from motionkit.lab.scoreboard.limits import REAL_SHARE, acceleration_limit, accelerations
-from motionkit.lab.scoreboard.report import Goal, Section, at_least, at_most
+from motionkit.lab.scoreboard.report import Goal, Section, all_of, at_least, at_most
 from motionkit.lab.scoreboard.roles import find_roles
+from motionkit.lab.scoreboard.starts import LOW
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.lab.scoreboard.visible import flips, value_of
 from motionkit.metrics.body import SPEED_SPAN, Body
+from motionkit.metrics.ground import STANDING_TOE, TOES, ground_speed
 from motionkit.metrics.leaps import leaps
 from motionkit.metrics.touch import hover_share, planted_share, touching
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.metrics.value import MetricValue
 from motionkit.models.model import MotionModel
 from motionkit.motion.contacts import foot_contacts
+from motionkit.motion.floor import foot_positions
 from motionkit.tables import Cell, Table
 from motionkit.training.verdict.rolling import Progress, Walk, grouped, roll_paths
 
@@ -151,12 +154,13 @@ def paths_section(trial: Trial, progress: Progress) -> Section:
     tasks = [(t.path, seed) for t in (*usual, *asked) for seed in trial.seeds(settings.repeats)]
     walks = roll_paths(model, tasks, settings.noise, trial.each, progress)
     groups = grouped(walks, settings.repeats)
-    first, goals = _distances(usual, groups[: len(usual)])
+    first, goals = _distances(trial, usual, groups[: len(usual)])
     second, more = _speeds(trial, asked, groups[len(usual) :])
     notes = [
         f"{settings.repeats} characters per path, as follow-path makes them by default; raw: feet not locked; "
         "distance: from the root to the nearest point of the path (path-mean, path-max), over all frames until the "
-        "end; mean over characters, and the largest",
+        "end; mean over characters, and the largest; slip: mean speed over the ground of toes less than "
+        f"{LOW:g} cm above a standing one; motion matching: over the training clips, feet locked",
         "speed: mean over each part without its first and last second, against the one that follow-path goes at, which "
         "for a gait is no slower or faster than its recordings look right; acceleration: largest of the root over the "
         f"ground, between velocities over 0.2 s, against what {REAL_SHARE:.1%} of the recorded frames of the path's "
@@ -209,18 +213,37 @@ def _longest_flight(body: Body) -> float:
     return max((end - start for start, end in spans(~touching(body.positions))), default=0) / body.fps
 
 
-def _distances(trials: list[PathTrial], groups: list[Sequence[Walk]]) -> tuple[Table, list[Goal]]:
+def _distances(
+    trial: Trial, trials: list[PathTrial], groups: list[Sequence[Walk]]
+) -> tuple[Table, list[Goal]]:
     rows: list[tuple[Cell, ...]] = []
     goals: list[Goal] = []
-    for trial, walks in zip(trials, groups, strict=True):
-        found = _followed(trial, walks)
+    compared: list[str] = []
+    further: list[str] = []
+    sliding: list[str] = []
+    for each, walks in zip(trials, groups, strict=True):
+        found, slips = _followed(each, walks), slip([walk.take.default for walk in walks])
+        matched: tuple[float | None, float | None] = (None, None)
+        if trial.matched.knows(*(part.type for part in each.path.parts)):
+            other = trial.matched.along(each.path)
+            away = trajectory_distance(other.positions[:, 0, [0, 2]], each.path.points).mean
+            matched = away, slip([other])
+            compared.append(each.name)
+            further += [each.name] if found.mean > away else []
+            sliding += [each.name] if slips > slip([other]) else []
         ends = f"{found.finished} of {len(walks)}"
         rows.append((
-            trial.name, found.mean, found.largest, found.raw, ends, found.seconds, found.coverage, found.flight,
+            each.name, found.mean, found.largest, found.raw, ends, found.seconds, found.coverage, found.flight, slips,
+            *matched,
         ))  # fmt: skip
         note = "" if found.finished == len(walks) else f"finished {ends}"
-        name = f"{trial.name}: mean distance, cm"
-        goals.append(at_most(name, found.mean, trial.target, note))
+        name = f"{each.name}: mean distance, cm"
+        goals.append(at_most(name, found.mean, each.target, note))
+    if compared:
+        goals.append(all_of("as near to the path as motion matching: share of paths", compared, further))
+        goals.append(
+            all_of("slip of low toes as slow as in motion matching: share of paths", compared, sliding)
+        )
     columns = (
         "path",
         "mean distance, cm",
@@ -230,6 +253,9 @@ def _distances(trials: list[PathTrial], groups: list[Sequence[Walk]]) -> tuple[T
         "seconds",
         "least coverage",
         "longest flight, s",
+        "slip, cm/s",
+        "motion matching: mean distance, cm",
+        "motion matching: slip, cm/s",
     )
     return Table("Distance from the path", columns, rows), goals
 
@@ -290,6 +316,16 @@ def _part_speeds(walk: Walk, parts: int) -> list[float]:
         out.append(float(steps.mean()) * body.fps / 100.0 if len(steps) else 0.0)
         start += frames
     return out
+
+
+def slip(bodies: Sequence[Body]) -> float:
+    """Return the mean speed of low toes over the ground in cm/s, over all frames of some bodies; 0 without any."""
+    found = []
+    for body in bodies:
+        toes = foot_positions(body.positions)[:, list(TOES)].astype(np.float64)
+        found.append((ground_speed(toes) * body.fps)[toes[1:, :, 1] < STANDING_TOE + LOW])
+    speeds = np.concatenate(found)
+    return float(speeds.mean()) if len(speeds) else 0.0
 
 
 def _standing_seconds(body: Body) -> float:

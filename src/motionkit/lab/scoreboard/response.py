@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from motionkit.arrays import Array, spans
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.steering import usual_gaits
-from motionkit.lab.scoreboard.report import Section, at_most
+from motionkit.lab.scoreboard.report import Section, all_of, at_most
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.metrics.body import SPEED_SPAN, Body
 from motionkit.models.model import MotionModel
@@ -166,15 +166,21 @@ def response_section(trial: Trial, progress: Progress) -> Section:
     rows: list[tuple[Cell, ...]] = []
     groups: dict[str, list[float]] = {}
     kept: list[float] = []
+    compared: dict[str, bool] = {}
     for command, mine in zip(asked, grouped(takes, settings.repeats), strict=True):
         seconds, unanswered, already = _responses(command, [take.default for take in mine])
         raw, _, _ = _responses(command, [take.raw for take in mine])
         groups.setdefault(command.group, []).extend(seconds)
         off = _speed_off(command, [take.default for take in mine])
         kept += off
-        slowest = max(seconds, default=None)
+        slowest, mean, matched = max(seconds, default=None), _mean(seconds), None
+        if trial.matched.knows(command.before.type, command.after.type):
+            body = trial.matched.live(_commanded(model, command), frames)
+            matched = _mean(_responses(command, [body])[0])
+        if mean is not None and matched is not None:
+            compared[command.name] = mean <= matched
         rows.append((
-            command.group, command.name, _mean(seconds), slowest, _mean(raw), unanswered, already, _mean(off),
+            command.group, command.name, mean, slowest, _mean(raw), unanswered, already, _mean(off), matched,
         ))  # fmt: skip
     goals = [
         at_most(f"mean response time to a change of {group}, s", _mean(seconds), TARGET_SECONDS)
@@ -183,9 +189,15 @@ def response_section(trial: Trial, progress: Progress) -> Section:
     if kept:
         what = f"speed that is kept from {STEADY_AFTER:g} s after a change of it: off by"
         goals.append(at_most(what, _mean(kept), STEADY_SHARE, shown=".0%"))
+    if compared:
+        slower = [name for name, sooner in compared.items() if not sooner]
+        goals.append(
+            all_of("answered as soon as by motion matching: share of commands", list(compared), slower)
+        )
     columns = (
         *("change of", "command", "mean, s", "slowest, s", "raw mean, s", "no response", "met before"),
         "speed off by",
+        "motion matching, s",
     )
     notes = [
         f"{settings.repeats} characters per command, driven as play drives them by default, from {BEFORE_SECONDS:g} s "
@@ -194,7 +206,8 @@ def response_section(trial: Trial, progress: Progress) -> Section:
         "conditions: standing below 0.25 m/s, a walk 0.4 to 2 m/s forwards, a run above 1.8 m/s forwards, going back "
         "0.3 m/s backwards; direction: root within 15° of the commanded one; speed: within 15 % of the commanded one, "
         "averaged over 1/3 s",
-        f"speed off by: the mean speed from {STEADY_AFTER:g} s after the command against the commanded one",
+        f"speed off by: the mean speed from {STEADY_AFTER:g} s after the command against the commanded one; motion "
+        "matching: one character, over the training clips, for the same trajectories and types",
     ]
     return Section(
         "response", "Response time", [Table("Response time per command", columns, rows)], goals, notes

@@ -9,6 +9,7 @@ from functools import cached_property
 from motionkit.control.script import TypePart
 from motionkit.data.dataset import Dataset
 from motionkit.data.workers import Map
+from motionkit.lab.matched_motion import MatchedMotion
 from motionkit.lab.scoreboard.settings import EvaluationSettings
 from motionkit.models.model import MotionModel
 from motionkit.training.verdict.judge import Judge
@@ -45,6 +46,11 @@ class Trial:
         if self.settings.reference == "none" or not self.model.uses_references:
             return None
         return self.model.with_reference("none")
+
+    @cached_property
+    def matched(self) -> MatchedMotion:
+        """Motion matching over the training clips, to compare the model with."""
+        return MatchedMotion(self.model, self.dataset)
 
     @property
     def recorded_types(self) -> tuple[str, ...]:
