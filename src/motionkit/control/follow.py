@@ -34,7 +34,7 @@ PATIENCE = 1.6  # factor on the expected duration (plus 3 s), after which the ro
 BLEND_SAMPLES = 16  # points at which types are sampled for their blend; chosen
 # Gaits whose median recording lasts at least LONG_SECONDS show it on a path, with a share GUIDED of the type's gain.
 # Shorter recordings follow one another too quickly for the feet. Chosen by foot sliding and arm swing.
-LONG_SECONDS, GUIDED = 2.0, 0.5
+LONG_SECONDS, GUIDED = 2.0, 0.6
 
 
 @dataclass(frozen=True, eq=False)

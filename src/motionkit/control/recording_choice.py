@@ -54,8 +54,8 @@ class EntrySettings:
 class MatchingSettings:
     """When to jump to a frame that suits the trajectory better; chosen. Every jump drags the feet."""
 
-    every: int = 20  # frames between two searches, and frames that must follow in a clip
-    clearly: float = 0.4  # share of the present cost that another frame must stay below
+    every: int = 30  # frames between two searches, and frames that must follow in a clip
+    clearly: float = 0.7  # share of the present cost that another frame must stay below
 
 
 @dataclass(frozen=True)
