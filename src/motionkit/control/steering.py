@@ -50,7 +50,7 @@ class SteeringOptions:
     """
 
     halflife: float = 0.1
-    turn_halflife: float = 0.15
+    turn_halflife: float = 0.14
     anchor_halflife: float = 0.5
     own_share: float = 0.02
     smoothing: float = 0.2
