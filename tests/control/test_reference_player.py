@@ -267,9 +267,28 @@ def test_gaits_leave_a_clip_before_it_brakes(tiny_model: MotionModel, slow: floa
     ]
     brakes = slow < 0.5
     assert entered[-1] < (200 if brakes else 300) - round(ENTRY.gait_seconds * 60.0)
-    player.clip, player.at, player.left = shown, 100, None
+    player._jump((shown, 100))
     player.play(150)
     assert (player.clip is shown) is not brakes
+
+
+@pytest.mark.parametrize("strikes", [False, True])
+def test_clips_are_left_where_they_have_been_played(tiny_model: MotionModel, strikes: bool) -> None:
+    """Played from frame 400 on; a strike there is shown to its end."""
+    phases = np.full((600,), -1.0, np.float32)
+    phases[380:440] = np.arange(60) / 60.0 if strikes else -1.0
+    clip, other = recording(600, phases), recording(600, first=1000.0)
+    player = ReferencePlayer(with_clips(tiny_model, {"running": [clip, other]}))
+    player.begin("running", NEAR)
+    shown = player.model.types["running"].reference_clips[0]
+    player.recordings.played.forget([shown])
+    player.recordings.played.mark(shown, 400, 200)
+    player._jump((shown, 100))
+    assert player.leaves == (440 if strikes else 400)
+    player.play(player.leaves - 100)
+    assert player.clip is shown
+    player.play(1)
+    assert (player.clip, player.at) != (shown, player.leaves + 1)
 
 
 def test_a_gait_that_is_slow_all_along_brakes_nowhere(tiny_model: MotionModel) -> None:

@@ -49,6 +49,15 @@ def test_a_replay_is_found_with_its_length() -> None:
     assert drawn_share([places, windows.places(mixed)], lengths) == 1.0
 
 
+@pytest.mark.parametrize(("first", "again", "share"), [(100, 0, 0.0), (100, 60, 0.35), (60, 60, 0.0)])
+def test_what_is_shown_again_after_a_while_counts_as_replayed(first: int, again: int, share: float) -> None:
+    """100 poses last 5 s; what comes again sooner is no replay."""
+    recording = wandering(10.0, 7)
+    windows = RecordingWindows([[recording]])
+    shown = np.concatenate([recording[:first], recording[:again]])
+    assert windows.places(shown).replayed() == pytest.approx(share, abs=0.03)
+
+
 def test_a_recording_can_be_left_out_and_have_a_mirrored_track() -> None:
     first, second = wandering(6.0, 4), wandering(6.0, 5)
     windows = RecordingWindows([[first, -first], [second]])

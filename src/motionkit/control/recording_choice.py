@@ -110,6 +110,11 @@ class PlayedFrames:
         for clip in clips:
             self._of(clip)[:] = False
 
+    def next(self, clip: ReferenceClip, at: int) -> int:
+        """The first frame from `at` on that has been played; the length of the clip if none has."""
+        ahead = np.flatnonzero(self._of(clip)[at:])
+        return at + int(ahead[0]) if len(ahead) else len(clip)
+
     def any(self, clip: ReferenceClip) -> bool:
         """Whether any frame of a clip has been played."""
         return bool(self._of(clip).any())
@@ -257,7 +262,17 @@ class RecordingChoice:
         return index.clips[number], found
 
     def leaves(self, kind: str, clip: ReferenceClip, entered: int) -> int:
-        """The frame at which a free gait leaves a clip: where it brakes, or loses the speed of the stay."""
+        """The frame at which a clip that was entered just now is left, if nothing is asked of its trajectory.
+
+        A gait leaves it where it brakes, or loses the speed of the stay; other types where it has been played, but not
+        within a strike or jump; performances never.
+        """
+        if self.model.kind(kind) is not MotionKind.GAIT:
+            if clip.performed or self.model.kind(kind).steered:
+                return len(clip)
+            end = self.played.next(clip, entered + round(ENTRY.seconds * self.model.fps))
+            outside = np.flatnonzero(clip.phases[end:] < 0.0)
+            return end + int(outside[0]) if len(outside) else len(clip)
         gait = self._gait_clip(kind, clip)
         end = int(gait.brakes[min(entered, len(clip) - 1)])
         other = np.abs(gait.speeds[entered:end] - self.pace) > ENTRY.pace[1] * self.pace

@@ -42,7 +42,8 @@ class ReferencePlayer:
         self.controls = ReferenceControls(model, own_share)
         self.kind = ""
         self.clip: ReferenceClip | None = None
-        self.at = self.entered = 0
+        self.at = 0
+        self.leaves = 0  # frame at which the clip is left without a trajectory
         self.arrives = 0  # frame at which the cross-fade from another type ends
         self.left: Crossfade | None = None  # cross-fade from the clip before
         self.pause: Pause | None = None  # the present pause
@@ -87,14 +88,14 @@ class ReferencePlayer:
         if found is None:
             self.at = behind
             return
-        self.clip, self.at = found
-        self.entered = self.arrives = self.at
+        self._enter(found)
+        clip = found[0]
         # A performance begins without a blend: a handspring is on the hands before a blend would end.
-        if left is not None and not self.clip.performed:
-            self.left = Crossfade(left, left_at, self.clip, self.at, before)
+        if left is not None and not clip.performed:
+            self.left = Crossfade(left, left_at, *found, before)
             self.arrives += 0 if within else self.left.frames
         elif left is not None and paused:
-            self.pause = Pause(left, self.clip, self.at)
+            self.pause = Pause(left, *found)
 
     def lead(self, performed: str, frames: int) -> None:
         """Enter a recording of the present gait that leads to the beginning of a performance in some frames, if any."""
@@ -153,12 +154,10 @@ class ReferencePlayer:
         return Controls.concatenated(parts)
 
     def _end(self, free: bool) -> int:
-        """The frame at which to leave the clip: its end, or where a free gait brakes; 0 without a clip."""
+        """The frame at which to leave the clip: its end, or what RecordingChoice says; 0 without a clip."""
         if self.clip is None:
             return 0
-        if not (free and self.model.kind(self.kind) is MotionKind.GAIT):
-            return len(self.clip)
-        return self.recordings.leaves(self.kind, self.clip, self.entered)
+        return self.leaves if free else len(self.clip)
 
     def _go_on(self, trajectory: Array | None, frames: int | None) -> None:
         """Enter the next clip, after a pause if there is no time for a blend.
@@ -192,8 +191,12 @@ class ReferencePlayer:
         """Fade from the present recording into another frame of any recording of the type."""
         assert self.clip is not None
         self.left = Crossfade(self.clip, self.at, *found, self.left)
+        self._enter(found)
+
+    def _enter(self, found: tuple[ReferenceClip, int]) -> None:
         self.clip, self.at = found
-        self.entered = self.arrives = self.at
+        self.arrives = self.at
+        self.leaves = self.recordings.leaves(self.kind, self.clip, self.at)
 
     def _stretch(self, count: int, trajectories: Array | None) -> Controls:
         """Controls of up to `count` frames of the present clip, until its end or the next search."""

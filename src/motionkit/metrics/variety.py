@@ -23,6 +23,7 @@ STRAY = 2
 # A motion loops after a time lag if the median distance of poses so far apart in time is below LOOP_SHARE of the median
 # over all pairs of poses. Lags start at LOOP_SECONDS.
 LOOP_SHARE, LOOP_SECONDS = 0.3, 5.0
+REPLAY_SECONDS = 5.0  # after which a recorded place that is shown again counts as replayed
 
 
 def pose_gap(first: Array, second: Array) -> float:
@@ -70,6 +71,17 @@ class Places:
         along = (np.diff(self.tracks) == 0) & (np.abs(steps - STRIDE) <= STRAY)
         longest = max((end - start for start, end in spans(along)), default=0)
         return (longest * STRIDE + WINDOW) / POSE_RATE
+
+    def replayed(self) -> float:
+        """Return the share of windows whose nearest recorded place was nearest REPLAY_SECONDS or more before, too."""
+        apart = round(REPLAY_SECONDS * POSE_RATE / STRIDE)
+        found = [
+            bool(((self.tracks[:before] == track) & (np.abs(self.poses[:before] - pose) <= STRAY)).any())
+            for before, (track, pose) in enumerate(
+                zip(self.tracks[apart:], self.poses[apart:], strict=True), start=1
+            )
+        ]
+        return sum(found) / max(1, len(self.tracks))
 
 
 class RecordingWindows:

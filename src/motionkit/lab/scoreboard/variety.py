@@ -16,6 +16,7 @@ from motionkit.metrics.body import Body
 from motionkit.metrics.variety import (
     LOOP_SECONDS,
     POSE_RATE,
+    REPLAY_SECONDS,
     WINDOW,
     RecordingWindows,
     drawn_share,
@@ -28,7 +29,7 @@ from motionkit.training.verdict.rolling import Plan, Progress, Take
 
 DRAWN = 0.8  # target share of a type's recordings, by length
 APART = 0.5  # target distance of two seeds relative to that of two recordings
-FROM_RECORDINGS = 1.0  # target distance from the nearest recording relative to that of another recording
+REPLAYED = 0.1  # largest share of a long roll-out that shows again what it has shown
 LONG_SECONDS = 60.0  # of recordings, from which on a type must not repeat itself within as long
 MOST_RECORDINGS = 16  # of a type, the longest, that are held against the others
 
@@ -72,12 +73,12 @@ def variety_section(trial: Trial, progress: Progress) -> Section:
     columns = (
         "type", "seeds apart, cm", "recordings apart, cm", "training recordings drawn on", "of all", "recordings",
         "nearest recording, cm", "recordings to the nearest other, cm", "along one recording, s",
-        "recordings along another, s", "loop, s", "recorded loop, s",
+        "recordings along another, s", "loop, s", "recorded loop, s", "replayed",
     )  # fmt: skip
     names = {
         "apart": f"seeds at least {APART:g} times as far apart as recordings: share of types",
         "drawn": f"{trial.settings.seeds} seeds draw on {DRAWN:.0%} of the training recordings: share of types",
-        "far": "as far from the nearest recording as another take of it: share of types",
+        "replayed": f"at most {REPLAYED:.0%} replayed where {LONG_SECONDS:g} s are recorded: share of types",
         "loop": f"no loop within {LONG_SECONDS:g} s where that much is recorded: share of types",
     }
     goals = []
@@ -108,21 +109,21 @@ def _measured(
     near = float(np.concatenate([place.distances for place in places]).mean())
     stretch = max(place.longest_stretch() for place in places)
     take_apart, take_stretch = _against_others(recorded)
-    loop, real_loop = loop_seconds(poses_of(long.default)).value, _recorded_loop(recorded)
+    long_poses = poses_of(long.default)
+    loop, real_loop = loop_seconds(long_poses).value, _recorded_loop(recorded)
+    replayed = recorded.windows.places(long_poses).replayed()
     reached: dict[str, bool] = {}
     if gap is not None and real_gap is not None:
         reached["apart"] = gap >= APART * real_gap
     if learnt is not None:
         drawn_learnt = drawn_share([learnt.windows.places(poses) for poses in mine], learnt.lengths)
         reached["drawn"] = drawn_learnt >= DRAWN
-    if take_apart is not None:
-        reached["far"] = near >= FROM_RECORDINGS * take_apart
     seconds = sum(stretch.body.seconds for stretch in stretches)
     if seconds >= LONG_SECONDS and real_loop is None and not trial.model.kind(kind).steered:
-        reached["loop"] = loop is None
+        reached["loop"], reached["replayed"] = loop is None, replayed <= REPLAYED
     row = (
         kind, gap, real_gap, drawn_learnt, drawn, len(recorded.poses), near, take_apart, stretch, take_stretch, loop,
-        real_loop,
+        real_loop, replayed,
     )  # fmt: skip
     return row, reached
 
@@ -140,6 +141,8 @@ def _notes(settings: EvaluationSettings) -> list[str]:
         "along one recording: longest time for which the nearest place goes on at its own pace",
         f"loop: shortest time from {LOOP_SECONDS:g} s on after which the long roll-out repeats itself; gaits repeat by "
         "nature and have no target",
+        f"replayed: share of the half seconds of the long roll-out nearest to a recorded place that was nearest "
+        f"{REPLAY_SECONDS:g} s or more before, too",
     ]
 
 
