@@ -268,8 +268,19 @@ def test_gaits_leave_a_clip_before_it_brakes(tiny_model: MotionModel, slow: floa
     brakes = slow < 0.5
     assert entered[-1] < (200 if brakes else 300) - round(ENTRY.gait_seconds * 60.0)
     player._jump((shown, 100))
+    assert player.leaves == (200 if brakes else 300)
     player.play(150)
-    assert (player.clip is shown) is not brakes
+    assert brakes or (player.clip, player.at) == (shown, 250)
+
+
+def test_gaits_leave_a_clip_before_its_last_pose_is_held(tiny_model: MotionModel) -> None:
+    clip = recording(100)
+    clip.poses[100:] = clip.poses[99]
+    assert clip.recorded == 100
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": [clip]}, gaits=True))
+    player.begin("walking", NEAR)
+    player._jump((player.model.types["walking"].reference_clips[0], 10))
+    assert player.leaves == 100 - ENTRY.gait_frames[1]
 
 
 @pytest.mark.parametrize("strikes", [False, True])

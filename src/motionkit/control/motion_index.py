@@ -70,6 +70,14 @@ class MotionIndex:
         return number, best - self.first[number]
 
 
+def state_costs(clip: ReferenceClip, frames: Sequence[int], near: Array) -> Array:
+    """Squared distances (N,) of a clip's states at frames from a state (S, 24), over those of its poses that exist."""
+    at = np.asarray(frames)
+    known = at[:, None] >= np.array(STATE_FRAMES)
+    apart = np.square(pose_states(clip, at) - near).sum(axis=2)
+    return np.asarray((apart * known).sum(axis=1) * (len(STATE_FRAMES) / known.sum(axis=1)))
+
+
 def pose_states(clip: ReferenceClip, frames: Array) -> Array:
     """States (..., S, 24) of a clip at frames (...): the pose embeddings STATE_FRAMES before them."""
     return clip.poses[np.maximum(frames[..., None] - np.array(STATE_FRAMES), 0)]

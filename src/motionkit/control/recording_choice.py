@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from motionkit.arrays import Array
 from motionkit.control.momentum import ground_speeds, speeds_ahead
-from motionkit.control.motion_index import MotionIndex, pose_state, pose_states
+from motionkit.control.motion_index import MotionIndex, pose_state, pose_states, state_costs
 from motionkit.control.standing import about_zero, in_stance
 from motionkit.features.layout import feature_layout
 from motionkit.features.reference import BEFORE_EVENT, event_begins
@@ -32,6 +32,13 @@ class EntrySettings:
     # A change draws few, because among many a standing body would get a frame in which nothing happens.
     candidates: int = 24
     candidates_within: int = 200
+    gait_clips: int = (
+        12  # of which a gait enters the frame most like the present pose: one may have no like stride
+    )
+    gait_frames: tuple[int, int] = (
+        5,
+        15,
+    )  # frames before an entry of a gait, and recorded ahead where it is left
     suited: float = 2.0  # performances that cost up to 1 plus this times the least cost are equally good
     # Quantiles of movement between which entry frames lie, and the share of the lower one that some frame of a clip
     # must exceed.
@@ -204,10 +211,11 @@ class RecordingChoice:
         found = self._as_fast(kind, self.entry_frames(kind, clips), speed)
         if self.model.kind(kind) is not MotionKind.GAIT:
             return self._drawn(found, count, near)
-        clip, at = self._drawn(self._at_pace(kind, found) if within else found, count, near)
-        if not within:
-            gait = self._gait_clip(kind, clip)
-            self.pace = float(gait.speeds[at : max(int(gait.brakes[at]), at + 1)].mean())
+        if within:
+            return self._strides(self._at_pace(kind, found), near)
+        clip, at = self._drawn(found, count, near)
+        gait = self._gait_clip(kind, clip)
+        self.pace = float(gait.speeds[at : max(int(gait.brakes[at]), at + 1)].mean())
         return clip, at
 
     def leading(
@@ -275,6 +283,9 @@ class RecordingChoice:
             return end + int(outside[0]) if len(outside) else len(clip)
         gait = self._gait_clip(kind, clip)
         end = int(gait.brakes[min(entered, len(clip) - 1)])
+        # References look ahead, and after the end of a recording its last pose is held: legs would stop in the air.
+        ahead = ENTRY.gait_frames[1]
+        end = min(end, max(clip.recorded - ahead, entered + ahead))
         other = np.abs(gait.speeds[entered:end] - self.pace) > ENTRY.pace[1] * self.pace
         least = round(ENTRY.gait_seconds * self.model.fps)
         other[:least] = False
@@ -326,6 +337,18 @@ class RecordingChoice:
         states = np.stack([pose_state(clip, at) for at in frames])
         return clip, frames[int(np.square(states - near).sum(axis=(1, 2)).argmin())]
 
+    def _strides(self, entries: Entries, near: Array | None) -> tuple[ReferenceClip, int]:
+        """Take the entry frame most like the present pose among those of a gait's clips, some of them drawn."""
+        found = self._fresh(entries)
+        drawn: list[tuple[float, ReferenceClip, int]] = []
+        for _ in range(ENTRY.gait_clips):
+            self.draws += 1
+            clip, frames = found[drawn_evenly([len(frames) for _, frames in found], self.choice, self.draws)]
+            costs = np.zeros(len(frames)) if near is None else state_costs(clip, frames, near)
+            drawn.append((float(costs.min()), clip, frames[int(costs.argmin())]))
+        _, clip, at = min(drawn, key=lambda each: each[0])
+        return clip, at
+
     def _as_fast(self, kind: str, found: Entries, speed: float | None) -> Entries:
         """Keep the entry frames of strikes or jumps at about the speed (cm/s) of the body.
 
@@ -338,7 +361,12 @@ class RecordingChoice:
         return _kept(found, gaps, most)
 
     def _at_pace(self, kind: str, found: Entries) -> Entries:
-        """Keep the entry frames of a gait after which its speed is that of the stay, as nearly as recorded."""
+        """Keep the entry frames of a gait after which its speed is that of the stay, as nearly as recorded.
+
+        A pose alone does not tell which way the legs swing, so frames with a few before them are preferred.
+        """
+        late = [(clip, [at for at in frames if at >= ENTRY.gait_frames[0]]) for clip, frames in found]
+        found = [each for each in late if each[1]] or found
         gaps = [np.abs(self._gait_clip(kind, clip).speeds[frames] - self.pace) for clip, frames in found]
         most = max(ENTRY.pace[0] * self.pace, min(float(gap.min()) for gap in gaps if len(gap)))
         return _kept(found, gaps, most)

@@ -108,6 +108,12 @@ class ReferenceClip:
         return bool((self.phases >= 0.0).all()) and bool((np.diff(self.phases) > 0.0).all())
 
     @cached_property
+    def recorded(self) -> int:
+        """How many of its poses are recorded; the last of them is held after a recording's end."""
+        moves = np.flatnonzero((np.diff(self.poses, axis=0) != 0.0).any(axis=1))
+        return int(moves[-1]) + 2 if len(moves) else 1
+
+    @cached_property
     def pace(self) -> float:
         """Mean change of the pose embedding per frame, above 0."""
         return 1e-6 + float(np.linalg.norm(np.diff(self.poses[: len(self) + 1], axis=0), axis=1).mean())
