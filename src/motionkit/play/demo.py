@@ -50,12 +50,13 @@ def write_demo(folder: str | Path, model: MotionModel, force: bool = False) -> d
     if not force:
         page_file, worker = folder / "index.html", folder / "sw.js"
         check_foreign([page_file, worker] if page_file.exists() else [folder / name for name in NAMES])
+    packed = page_model(model)  # refuses what the kernels cannot run
     motion = synthesize(model, [TypePart(model_first_type(model), CHECKED)]).motion
     page = fill_page("demo.html", _page_data(model, motion))
     made = {
         "index.html": page.encode(),  # first, since it marks the others as ours
         "motionkit.wasm": (files("motionkit") / "assets" / "web" / "motionkit.wasm").read_bytes(),
-        "model.bin": page_model(model),
+        "model.bin": packed,
         "three-LICENSE.txt": page_asset("three-LICENSE.txt").encode(),
     }
     digest = hashlib.sha256(b"".join(made.values())).hexdigest()
