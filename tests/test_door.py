@@ -110,6 +110,7 @@ def test_mypy_sees_the_types(tmp_path: Path) -> None:
 ONLY_COMMAND = {
     "in_place",  # functions of their own: mk.in_place, mk.with_ground_root, mk.make_loop
     "root",
+    "rest",
     "rest_frame",
     "loops",
     "keys_file",  # keys in Python

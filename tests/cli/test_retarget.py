@@ -12,9 +12,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 import motionkit as mk
+from motionkit.arrays import normalized
 from motionkit.cli.main import cli
 from motionkit.errors import MotionkitError
-from motionkit.motion.bvh import read_bvh, write_bvh
+from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
+from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
 from motionkit.rig.built_in import BUILT_IN, rig_file
@@ -277,7 +279,7 @@ def test_a_built_in_rig_has_the_rate_of_its_readers(place: Path, fps: tuple[str,
     assert back.exit_code == 0, back.output
 
 
-@pytest.mark.parametrize(
+WRITING = pytest.mark.parametrize(
     "words",
     [
         ("retarget", "walk.bvh", "--rig", "@mixamo", "-o"),
@@ -287,6 +289,22 @@ def test_a_built_in_rig_has_the_rate_of_its_readers(place: Path, fps: tuple[str,
         ("convert", "walk.bvh"),
     ],
 )
+
+
+@WRITING
+@pytest.mark.parametrize("pose", ["tpose", "apose"])
+def test_a_rest_pose_that_is_asked_for_is_written(place: Path, words: tuple[str, ...], pose: str) -> None:
+    """With other offsets, the joints are where they are without it."""
+    for file, more in (("plain.bvh", ()), ("rest.bvh", ("--rest", pose))):
+        result = run(*words, file, *more)
+        assert result.exit_code == 0, result.output
+    plain, rest = (bvh_to_motion(read_bvh(file)) for file in ("plain.bvh", "rest.bvh"))
+    assert np.abs(motion_kinematics(plain)[1] - motion_kinematics(rest)[1]).max() < 1e-2
+    low = rest.skeleton.offsets[mk.read_rig("rest.bvh").place("LeftForeArm")]
+    assert normalized(low)[1] == pytest.approx({"tpose": 0.0, "apose": -(0.5**0.5)}[pose], abs=1e-3)
+
+
+@WRITING
 def test_a_rest_frame_is_one_frame_more(place: Path, words: tuple[str, ...]) -> None:
     """The first frame has no rotations; the others are as without it."""
     for file, more in (("plain.bvh", ()), ("rest.bvh", ("--rest-frame",))):

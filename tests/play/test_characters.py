@@ -14,10 +14,11 @@ from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
 from motionkit.play.frames import Shown
 from motionkit.play.on_rig import LiveRig, with_rig
 from motionkit.rig.on_rig import read_rig
+from motionkit.rig.to_rig import standing_height
 from play.test_demo import address, folder, visit  # noqa: F401
 from rig.test_character import parts
 from rig.test_gltf_rig import character
@@ -141,9 +142,11 @@ def test_a_recording_is_the_file_with_one_animation_more(page: Page, tmp_path: P
     assert new["accessors"][: len(old["accessors"])] == old["accessors"]
     (animation,) = new["animations"]
     assert {channel["target"]["path"] for channel in animation["channels"]} == {"rotation", "translation"}
-    motion = read_clip(written).motion
-    heights = motion_kinematics(motion)[1][..., 1].min(axis=1)
-    assert len(motion) > 90 and -4.0 < np.quantile(heights, 0.3) < 4.0  # toes are on the floor
+    motion, rig = read_clip(written).motion, read_rig(written)
+    toes = [rig.place(f"{side}ToeBase") for side in ("Left", "Right")]
+    heights = motion_kinematics(motion)[1][:, toes, 1].min(axis=1)
+    standing = 100.0 * standing_height(rig, STANDING_HEIGHTS[1]) / rig.scale
+    assert len(motion) > 90 and standing - 0.05 < heights.min() < standing + 1.0
 
 
 @pytest.mark.parametrize("key", ["plain", "twists", "vrm0"])

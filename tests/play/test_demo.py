@@ -11,6 +11,7 @@ import re
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,7 @@ from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.play.demo import write_demo
+from motionkit.rig.gltf import GltfFile
 from oracle.characters import pose_in_numpy
 from oracle.step import numpy_step
 from view.conftest import PATIENCE, drawn
@@ -387,6 +389,20 @@ def test_a_drawn_path_is_followed(visit: Callable[..., Page]) -> None:
     page.close()
 
 
+def test_somebody_stands_while_the_model_loads(visit: Callable[..., Page], address: str) -> None:
+    """Before the model has come, the page says what it loads and shows the figure; the same one then moves."""
+    page, held = visit(service_workers="block"), []
+    page.route("**/model.bin", lambda route: held.append(route))
+    page.goto(address, wait_until="commit")
+    page.wait_for_function("window.motionkit?.standing?.visible", timeout=PATIENCE)
+    assert "Loading" in page.locator("#notice").inner_text() and not page.evaluate("motionkit.hello")
+    page.evaluate("void (motionkit.shown = motionkit.standing)")
+    held[0].continue_()
+    page.wait_for_function("motionkit.own?.figure === motionkit.shown && " + START, timeout=PATIENCE)
+    page.wait_for_function("document.getElementById('notice').hidden", timeout=PATIENCE)
+    page.close()
+
+
 def test_a_path_has_a_type_and_stops(page: Page) -> None:
     places, shown = page.evaluate(
         """() => {
@@ -485,6 +501,13 @@ def test_a_recording_is_the_motion_that_was_shown(page: Page, tmp_path: Path) ->
     order = [skinned.skeleton.names.index(name) for name in names]
     assert len(skinned) == len(motion)
     assert np.linalg.norm(positions[-1, order] - kept, axis=-1).max() < 0.01
+    mk.write(tmp_path / "python.glb", motion)
+    theirs, ours = (
+        {node["name"]: node for node in GltfFile(tmp_path / name).json["nodes"] if node.get("name") in names}
+        for name in ("recording.glb", "python.glb")
+    )
+    for name, part in product(names, ("translation", "rotation")):
+        assert np.allclose(theirs[name].get(part, 0.0), ours[name][part], atol=1e-4), (name, part)
 
 
 def test_a_link_that_says_nonsense_changes_nothing(page: Page) -> None:

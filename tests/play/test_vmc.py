@@ -14,7 +14,8 @@ from motionkit.arrays import Array
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
 from motionkit.play.frames import Shown
-from motionkit.play.vmc import VmcBody, osc_bundles, osc_message, rest_turns
+from motionkit.play.vmc import VmcBody, osc_bundles, osc_message
+from motionkit.rig.standing_pose import standing_turns
 from play.conftest import PATIENCE
 
 BONES = {"Hips", "Spine", "Chest", "Neck", "Head"} | {
@@ -122,7 +123,7 @@ def test_bundles_stay_below_their_limit_and_lose_nothing() -> None:
 
 def test_a_t_pose_has_no_rotations() -> None:
     skeleton = canonical_skeleton()
-    world = rest_turns(skeleton)
+    world = standing_turns()
     parents = [max(parent, 0) for parent in skeleton.parents]
     inverse = world[parents] * np.array([1.0, -1.0, -1.0, -1.0], np.float32)
     local = quat_multiply(inverse, world)

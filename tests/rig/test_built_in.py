@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 
 import motionkit as mk
 from motionkit.arrays import normalized
-from motionkit.editing.rest_frame import with_rest_frame
+from motionkit.editing.rest_frame import with_rest_frame, with_rest_pose
 from motionkit.errors import MotionkitError
 from motionkit.export.clip import rig_clip
 from motionkit.export.formats import WRITERS, read_motion
@@ -19,12 +20,14 @@ from motionkit.finish.on_rig import on_rig
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_angle, quat_to_matrix
+from motionkit.motion.rotations import quat_angle, quat_rotate, quat_to_matrix
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.rig.built_in import BUILT_IN, rig_file
 from motionkit.rig.retarget import retarget
 from motionkit.rig.rig import Rig
+from motionkit.rig.standing_pose import ARMS
 from motionkit.rig.to_rig import to_rig
+from motionkit.rig.up_axis import up_turn
 from synthetic_motions import make_cartwheel, make_walk
 
 SIDES = ("Left", "Right")
@@ -126,6 +129,22 @@ def test_a_rest_frame_stands_where_the_motion_begins(rig: Rig, known: bool) -> N
         assert normalized(arms)[0] > 0.99
     again = with_rest_frame(on_rig(make_walk(60, phase=1.0), rig), rig)
     assert np.array_equal(again.local_rotations[1:], made.local_rotations[1:])
+
+
+@pytest.mark.parametrize(("name", "low"), ARMS.items())
+def test_another_rest_pose_keeps_the_motion(rig: Rig, name: str, low: float) -> None:
+    """Every joint stays where it was; the pose without rotations has arms so many degrees down and vertical legs."""
+    made = on_rig(make_walk(60, phase=1.0), rig)
+    rested = with_rest_pose(with_rest_frame(made, rig, name), name, rig)
+    assert np.abs(motion_kinematics(rested)[1][1:] - motion_kinematics(made)[1]).max() < 1e-3
+    assert np.abs(rested.local_rotations[0, :, 1:]).max() < 1e-3
+    places = quat_rotate(up_turn(rig.up), rested.skeleton.rest_positions())
+    arm, leg = math.radians(low), {"UpLeg": "Leg", "Leg": "Foot"}
+    for side, left in (("Left", 1.0), ("Right", -1.0)):
+        ways = dict.fromkeys(leg, (0.0, -1.0, 0.0)) | {"Arm": (left * math.cos(arm), -math.sin(arm), 0.0)}
+        for part, way in ways.items():
+            bone = places[rig.place(side + leg.get(part, "ForeArm"))] - places[rig.place(side + part)]
+            assert normalized(bone) @ np.array(way) > 0.9999, part
 
 
 def test_an_unknown_rig_has_a_hint() -> None:

@@ -17,6 +17,7 @@ from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_angle, quat_inverse, quat_multiply, quat_normalize, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, canonical_skeleton
+from motionkit.reading import reading
 from motionkit.rig.on_rig import read_rig
 from motionkit.rig.retarget import retarget
 from motionkit.rig.to_rig import rig_bvh
@@ -164,6 +165,10 @@ def no_leg(value: dict[str, Any]) -> None:
     value["skins"][0]["joints"] = [joint for joint in value["skins"][0]["joints"] if not 3 <= joint <= 6]
 
 
+def leg_apart(value: dict[str, Any]) -> None:
+    value["nodes"][2]["children"] = [child for child in value["nodes"][2]["children"] if child != 3]
+
+
 def short_rotation(value: dict[str, Any]) -> None:
     value["nodes"][7]["rotation"] = [0, 0, 0]
 
@@ -187,6 +192,7 @@ def bone_elsewhere(value: dict[str, Any]) -> None:
         (two_parents, "node 2 has two parents"),
         (two_characters, "two skeletons, below Scene and Other; expected one character per file"),
         (no_leg, "no joint found for LeftUpLeg, LeftLeg"),
+        (leg_apart, "a skin has joints in 2 trees, below Scene and LeftUpLeg; expected one skeleton"),
         (short_rotation, "expected 4 numbers as rotation of node"),
         (bone_elsewhere, "has a Head that is not part of its skeleton"),
         (bone_twice, "bone table names Hips twice"),
@@ -202,6 +208,18 @@ def test_what_is_refused_in_one_line(tmp_path: Path, change: Any, said: str) -> 
     with pytest.raises(MotionkitError, match=said) as caught:
         read_rig(tmp_path / "my.glb")
     assert "\n" not in str(caught.value) and str(caught.value).startswith(f"{tmp_path / 'my.glb'}: ")
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_a_mesh_that_will_not_move_is_told(tmp_path: Path, told: bool) -> None:
+    value, notes = character(), []
+    (body,) = (node for node in value["nodes"] if "mesh" in node)
+    if told:
+        del body["skin"]
+    write_glb(tmp_path / "my.glb", value)
+    with reading(hear=notes.append):
+        read_rig(tmp_path / "my.glb")
+    assert any("will not move" in note for note in notes) == told
 
 
 @pytest.mark.parametrize("data", [b"", b"glTF", b"HIERARCHY\nROOT Hips" * 3, b"glTF" + b"\xff" * 40])

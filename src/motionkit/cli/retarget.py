@@ -36,7 +36,7 @@ from motionkit.cli.rig_options import (
     clip_option,
     map_option,
     open_rig,
-    rest_frame_option,
+    rest_options,
     rig_option,
 )
 from motionkit.names import counted
@@ -65,6 +65,7 @@ class Rigs:
     save_map: Path | None
     source_rig: Path | None
     source_map: Path | None
+    rest: str
     rest_frame: bool
     up: str | None
     unit: float | None
@@ -154,7 +155,7 @@ class Rigs:
     "--ik/--no-ik",
     "Put the feet of the rig on the floor and hold them where those of SOURCE stand; --no-ik copies the pose.",
 )
-@rest_frame_option
+@rest_options
 @animation_options
 @strict_option
 @view_option
@@ -185,7 +186,9 @@ def command(
         from motionkit.motion.motion import resample
 
         motion = resample(motion, fps or choice.fps or motion.fps)
-    made = RootMotion(rest_frame=rigs.rest_frame).applied(choice.on_rig(motion, ik), rig=choice.rig)
+    made = RootMotion(rest=rigs.rest, rest_frame=rigs.rest_frame).applied(
+        choice.on_rig(motion, ik), rig=choice.rig
+    )
     outputs.write(choice.clip_of(made, outputs.file.stem))
     saved = rigs.save(choice.rig or known, source)
     from motionkit.view.figure_data import Shown

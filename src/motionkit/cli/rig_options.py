@@ -74,10 +74,19 @@ clip_option = click.option(
     help="Clip of the --rig: its joints that motionkit does not know (fingers, props) move as they do there; in "
     "their rest pose by default.",
 )
-rest_frame_option = click.option(
-    "--rest-frame",
-    is_flag=True,
-    help="Begin with one frame of the rest pose, as Second Life and older importers expect.",
+rest_options = together(
+    option(
+        "--rest",
+        type=click.Choice(["file", "tpose", "apose"]),
+        default="file",
+        help="Rest pose of the joints that are written: that of the rig or clip, a T-pose, or an A-pose with arms 45 "
+        "degrees down; they move the same. A .glb or .vrm that the motion is added to keeps its own.",
+    ),
+    click.option(
+        "--rest-frame",
+        is_flag=True,
+        help="Begin with one frame of the rest pose, as Second Life and older importers expect.",
+    ),
 )
 root_options = together(
     click.option("--in-place", is_flag=True, help="Remove root motion over the ground; sway and turns stay."),
@@ -87,16 +96,17 @@ root_options = together(
         default="hips",
         help="Joint with the root motion: the hips, or a new root joint on the ground below them, as engines expect.",
     ),
-    rest_frame_option,
+    rest_options,
 )
 
 
 @dataclass(frozen=True)
 class RootMotion:
-    """Where root motion is written, in place or not, on the hips or on a ground bone; and whether after a rest pose."""
+    """Where root motion is written, in place or not, on the hips or on a ground bone; and the rest pose."""
 
     in_place: bool = False
     root: str = "hips"
+    rest: str = "file"
     rest_frame: bool = False
 
     def applied(self, motion: Motion, cyclic: bool = False, rig: Rig | None = None) -> Motion:
@@ -109,7 +119,11 @@ class RootMotion:
         if self.rest_frame:
             from motionkit.editing.rest_frame import with_rest_frame
 
-            motion = with_rest_frame(motion, rig)
+            motion = with_rest_frame(motion, rig, self.rest)
+        if self.rest != "file":
+            from motionkit.editing.rest_frame import with_rest_pose
+
+            motion = with_rest_pose(motion, self.rest, rig)
         return motion
 
 
@@ -199,6 +213,7 @@ def open_written(
     clip_path: Path | None,
     in_place: bool,
     root: str,
+    rest: str,
     rest_frame: bool,
 ) -> RigChoice:
     """Like open_rig, with root motion; raises UsageError for a ground joint on a rig without one."""
@@ -211,7 +226,7 @@ def open_written(
                 f"--root ground adds a joint, and --rig keeps those of its file; {choice.rig.name} has no root bone "
                 "(root, reference) above its hips"
             )
-    return replace(choice, way=RootMotion(in_place, root, rest_frame))
+    return replace(choice, way=RootMotion(in_place, root, rest, rest_frame))
 
 
 rig_options = together(rig_option, map_option, clip_option, strict_option, gathered("choice", open_rig))

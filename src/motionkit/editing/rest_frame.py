@@ -1,4 +1,4 @@
-"""Begins a motion with its rig's rest pose, by which Second Life and older importers know a rig."""
+"""The rest pose of a written motion: as its first frame, by which older importers know a rig, or another one."""
 
 from __future__ import annotations
 
@@ -9,20 +9,29 @@ import numpy as np
 from motionkit.motion.bvh import motion_to_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_identity, quat_inverse, quat_rotate
-from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS, canonical_skeleton
+from motionkit.motion.rotations import (
+    quat_continuous,
+    quat_identity,
+    quat_inverse,
+    quat_multiply,
+    quat_rotate,
+)
+from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton
 from motionkit.rig.rest_pose import SIDES, SourceRig, body_frame, stands
+from motionkit.rig.retarget import to_local
 from motionkit.rig.rig import Rig, make_rig, mover, stance_part
+from motionkit.rig.standing_pose import standing_turns
 from motionkit.rig.to_rig import standing_height, to_rig
 from motionkit.rig.up_axis import up_turn
 
 
-def with_rest_frame(motion: Motion, rig: Rig | None = None) -> Motion:
+def with_rest_frame(motion: Motion, rig: Rig | None = None, name: str = "file") -> Motion:
     """The motion with one more frame before it: the rest pose, standing where the motion begins.
 
     Args:
         motion: T frames on a human rig.
         rig: its rig, if known. If its rest pose is no standing human, the frame is a T-pose.
+        name: "file" for the rest pose of the rig, or one of rig/standing_pose.py's ARMS.
 
     Returns:
         T + 1 frames.
@@ -31,7 +40,8 @@ def with_rest_frame(motion: Motion, rig: Rig | None = None) -> Motion:
         SkeletonError: the rig is not a human one.
     """
     rig = rig or make_rig(motion_to_bvh(motion), "the motion")
-    rest = _at(_rest_pose(rig, motion.fps), motion.cut(0, 1), rig)
+    pose = _rest_pose(rig, motion.fps) if name == "file" else _standing(name, rig, motion.fps)
+    rest = _at(pose, motion.cut(0, 1), rig)
     moves = motion.local_positions
     assert rest.local_positions is not None
     return replace(
@@ -42,16 +52,52 @@ def with_rest_frame(motion: Motion, rig: Rig | None = None) -> Motion:
     )
 
 
+def with_rest_pose(motion: Motion, name: str, rig: Rig | None = None) -> Motion:
+    """The same motion on joints whose rest pose, the one without rotations, is a standing pose.
+
+    Args:
+        motion: on a human rig.
+        name: one of rig/standing_pose.py's ARMS.
+        rig: its rig, if known.
+
+    Raises:
+        SkeletonError: the rig is not a human one.
+    """
+    rig = rig or make_rig(motion_to_bvh(motion), "the motion")
+    skeleton, turns = motion.skeleton, motion_kinematics(_standing(name, rig, motion.fps))[0][0]
+    parents = list(skeleton.parents)
+    above = np.where(np.array(parents)[:, None] < 0, quat_identity(()), turns[parents])
+    offsets = quat_rotate(above, skeleton.offsets)
+    ends = {}
+    for joint, end in skeleton.end_sites.items():
+        x, y, z = quat_rotate(turns[joint], np.array(end, np.float32))
+        ends[joint] = (float(x), float(y), float(z))
+    rested = replace(skeleton, offsets=offsets, end_sites=ends)
+    moves = motion.local_positions
+    local = quat_multiply(quat_multiply(above, motion.local_rotations), quat_inverse(turns))
+    return replace(
+        motion,
+        skeleton=rested,
+        local_rotations=quat_continuous(local),
+        local_positions=None
+        if moves is None
+        else quat_rotate(np.broadcast_to(above, (*moves.shape[:2], 4)), moves),
+    )
+
+
+def _standing(name: str, rig: Rig, fps: float) -> Motion:
+    """One frame of a rig in a standing pose."""
+    turns = to_local(standing_turns(name)[None])
+    return to_rig(Motion(canonical_skeleton(), turns, np.zeros((1, 3), np.float32), fps), rig)
+
+
 def _rest_pose(rig: Rig, fps: float) -> Motion:
     """One frame of the rest pose, or of a T-pose."""
     skeleton, source = rig.skeleton, SourceRig(rig.skeleton, rig.joints, rig.skeleton.rest_positions())
     if stands(source, body_frame(source)):
         still = quat_identity((1, len(skeleton)))
         return Motion(skeleton, still, skeleton.offsets[:1].astype(np.float32), fps)
-    pose = Motion(
-        canonical_skeleton(), quat_identity((1, len(JOINT_NAMES))), np.zeros((1, 3), np.float32), fps
-    )
-    return to_rig(pose, rig)
+    return _standing("tpose", rig, fps)
 
 
 def _at(rest: Motion, first: Motion, rig: Rig) -> Motion:

@@ -13,6 +13,7 @@ from motionkit.rig.character import Character
 from motionkit.rig.rig import Rig
 from motionkit.view.asset import BODIES
 
+_SAME_REST = 1e-5  # share of the leg by which the offsets of a rig whose rest pose was kept may differ
 LARGEST = 1e7  # largest length in a file, in metres or centimetres
 
 
@@ -66,7 +67,10 @@ def rig_clip(motion: Motion, rig: Rig, name: str, types: Sequence[tuple[str, flo
     """The clip of a motion on a rig; in a character's file its animation is called by the types, if they are known."""
     if rig.character is not None and types:
         name = "-".join(dict.fromkeys(kind for kind, _ in types))
-    return Clip(motion, name, types, rig.channels, rig.hierarchy, rig.character)
+    same = len(motion.skeleton) == len(rig.skeleton) and np.allclose(
+        motion.skeleton.offsets, rig.skeleton.offsets, rtol=0.0, atol=_SAME_REST * rig.leg
+    )
+    return Clip(motion, name, types, rig.channels, rig.hierarchy if same else None, rig.character)
 
 
 def check_numbers(path: object, motion: Motion) -> None:

@@ -56,7 +56,10 @@ def _write_into(path: str | Path, clip: Clip, character: Character) -> None:
     """Write the file of a character with a motion on it as one more animation; all else stays byte for byte."""
     file = character.tree.file
     if not character.holds(clip.motion):
-        raise MotionkitError(f"{path}: not written: the motion has other joints than {file.path}")
+        joints = character.skeleton.names != clip.motion.skeleton.names
+        other = "other joints" if joints else "another rest pose"
+        kept = "" if joints else ", which keeps its own; --rest is for other formats"
+        raise MotionkitError(f"{path}: not written: the motion has {other} than {file.path}{kept}")
     document = file.addition()
     taken = (
         set()

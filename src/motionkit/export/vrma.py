@@ -19,7 +19,6 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
     quat_between,
     quat_continuous,
-    quat_identity,
     quat_inverse,
     quat_multiply,
     quat_normalize,
@@ -35,6 +34,7 @@ from motionkit.motion.skeleton import (
 )
 from motionkit.rig.canonical import canonical_motion
 from motionkit.rig.gltf import GltfDocument
+from motionkit.rig.standing_pose import standing_turns
 from motionkit.rig.upright import AS_BROUGHT, in_metres
 
 EXTENSION = "VRMC_vrm_animation"
@@ -50,7 +50,6 @@ BONES: dict[str, str] = {
         ("Shoulder", "Shoulder"), ("Arm", "UpperArm"), ("ForeArm", "LowerArm"), ("Hand", "Hand"),
     )
 }  # fmt: skip
-_DOWN = np.array([0.0, -1.0, 0.0], np.float32)
 
 
 def write_vrma(path: str | Path, clip: Clip) -> None:
@@ -81,7 +80,7 @@ def joints_kept() -> list[int]:
 
 def humanoid_motion(motion: Motion) -> Motion:
     """A canonical motion in cm, converted to a VRM humanoid in metres whose rest pose is a T-pose."""
-    poses = _t_pose()
+    poses = standing_turns()
     rotations, positions = motion_kinematics(motion)
     neck, head = JOINT_NAMES.index("Neck"), JOINT_NAMES.index("Head")
     rest = motion.skeleton.rest_positions()
@@ -126,17 +125,6 @@ def hips_height(skeleton: Skeleton) -> float:
     canonical = canonical_skeleton()
     ankle = STANDING_HEIGHTS[0] * CM * leg_length(skeleton) / (leg_length(canonical) * CM)
     return float(ankle - places[skeleton.index("LeftFoot")][1])
-
-
-def _t_pose() -> Array:
-    """Global rotations (23, 4) from the canonical rest pose to the T-pose with vertical legs."""
-    poses = quat_identity((len(JOINT_NAMES),))
-    rest = canonical_skeleton().offsets
-    for side in ("Left", "Right"):
-        upright = quat_between(rest[JOINT_NAMES.index(f"{side}Leg")], _DOWN)
-        for part in ("UpLeg", "Leg", "Foot", "ToeBase"):
-            poses[JOINT_NAMES.index(f"{side}{part}")] = upright
-    return poses
 
 
 def _posed(skeleton: Skeleton, poses: Array) -> Array:

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from motionkit.arrays import Array
 from motionkit.motion.kinematics import forward_kinematics
-from motionkit.motion.rotations import matrix_to_quat, quat_between, quat_inverse, quat_to_matrix
+from motionkit.motion.rotations import matrix_to_quat, quat_inverse, quat_to_matrix
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from motionkit.play.frames import Floats, Shown
+from motionkit.rig.standing_pose import standing_turns
 
 BUNDLE_BYTES = 1400  # fits into one Ethernet frame
 _IMMEDIATELY = struct.pack(">Q", 1)  # OSC time tag for "immediately"
@@ -78,24 +78,12 @@ def osc_bundles(messages: Sequence[bytes], most_bytes: int = BUNDLE_BYTES) -> li
     return out
 
 
-def rest_turns(skeleton: Skeleton) -> Array:
-    """World rotations (23, 4) from the rest pose to a T-pose with vertical legs."""
-    turns = np.zeros((len(skeleton), 4), np.float32)
-    turns[:, 0] = 1.0
-    down = np.array([0.0, -1.0, 0.0], np.float32)
-    for side in ("Left", "Right"):
-        for joint, ahead in (("UpLeg", "Leg"), ("Leg", "Foot")):
-            bone = skeleton.offsets[skeleton.index(side + ahead)]
-            turns[skeleton.index(side + joint)] = quat_between(bone, down)
-    return turns
-
-
 class VmcBody:
     """Converts frames of one skeleton to VMC messages."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._skeleton = skeleton
-        self._from_rest = quat_to_matrix(quat_inverse(rest_turns(skeleton)))[_JOINTS]
+        self._from_rest = quat_to_matrix(quat_inverse(standing_turns()))[_JOINTS]
 
     def bones(self, shown: Shown) -> tuple[Floats, Floats]:
         """Positions (1 + B, 3) and rotations (1 + B, 4) of the root and BONES, relative to their parents.

@@ -155,11 +155,27 @@ class GltfNodes:
         for node in self.order:
             if self.parents[node] >= 0:
                 tops[node] = tops[self.parents[node]]
+        for skin in self.file.items("skins"):
+            apart = sorted({tops[node] for node in skin.get("joints", [])})
+            if len(apart) > 1:
+                names = " and ".join(map(self.name, apart[:2]))
+                raise self.fault(
+                    f"a skin has joints in {len(apart)} trees, below {names}; expected one skeleton"
+                )
         (first, count), *others = Counter(tops[node] for node in wanted).most_common()
         if others and 2 * others[0][1] >= count:
             names = f"{self.name(first)} and {self.name(others[0][0])}"
             raise self.fault(f"two skeletons, below {names}; expected one character per file")
         return {node for node in wanted if tops[node] == first}
+
+    def unmoved(self, hips: int) -> bool:
+        """Whether there are meshes, and none of them moves with the hips, by a skin or as a part below them."""
+        moved = {hips}
+        for node in self.order:
+            if self.parents[node] in moved:
+                moved.add(node)
+        shown = [node for node, entry in enumerate(self.nodes) if "mesh" in entry]
+        return bool(shown) and not any("skin" in self.nodes[node] or node in moved for node in shown)
 
     def names(self, nodes: list[int]) -> tuple[str, ...]:
         """Unique names of joints that a BVH file can hold."""

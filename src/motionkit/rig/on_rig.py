@@ -14,6 +14,7 @@ from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
+from motionkit.reading import tell
 from motionkit.rig.built_in import rig_file
 from motionkit.rig.character import read_character
 from motionkit.rig.map_file import read_rig_map
@@ -47,6 +48,8 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
     joints = None if map_path is None else read_rig_map(map_path, found.skeleton)
     try:
         joints = joints or map_file(found.bvh({0}))
+        if found.tree.unmoved(found.nodes[joints.places["Hips"]]):
+            tell(path, ("meshes that no skin binds to its bones, so they will not move",))
         bvh = found.bvh({0, top_joint(found.skeleton, joints)})
         return replace(make_rig(bvh, Path(path).name, joints), character=found)
     except SkeletonError as error:

@@ -11,19 +11,21 @@ from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.features.heading import heading_angles
 from motionkit.motion.contacts import foot_contacts
-from motionkit.motion.floor import floor_shift
+from motionkit.motion.floor import TOE_HEIGHT, TOES, floor_shift
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate
+from motionkit.motion.rotations import quat_from_yaw, quat_identity, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton
 from motionkit.reading import reading
 from motionkit.rig.canonical import canonical_motion
+from motionkit.rig.names import map_rig
 from motionkit.rig.units import motion_unit
 from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
 
 CM, CM_PER_METRE = 0.01, 100.0  # metres per cm, and cm per metre
 # Range over the ground in cm below which a root stands still, and from which the hips below it travel.
 STILL_ROOT, MOVING_HIPS = 1.0, 30.0
+_STANDING_TOE = (-1.0, 6.0)  # cm; heights of toes in a rest pose that stands on the floor
 AS_BROUGHT = partial(
     reading, up="+Y", cm=1.0
 )  # in which motions that were brought into cm with Y up are read again
@@ -95,12 +97,18 @@ class Upright:
 
     @cached_property
     def canonical(self) -> Motion | None:
-        """The motion on the canonical joints with its own bone lengths, in cm; None for rigs that are not human."""
+        """The motion on the canonical joints with its own bone lengths, in cm; None for rigs that are not human.
+
+        Where the rest pose of the rig stands on the floor, feet as high as there are as high as canonical ones.
+        """
+        motion = self.motion
         try:
             with AS_BROUGHT():
-                return canonical_motion(self.motion, own_body=True, scale=1.0)
+                made = canonical_motion(motion, own_body=True, scale=1.0)
         except SkeletonError:
             return None
+        up = 0.0 if made.skeleton.names == motion.skeleton.names else _lift(motion)
+        return replace(made, root_positions=made.root_positions + np.array([0.0, up, 0.0], np.float32))
 
     @cached_property
     def positions(self) -> Array:
@@ -127,6 +135,26 @@ class Upright:
             return np.zeros((len(self.motion), 0), np.float32)
         lift = np.array([0.0, floor_shift(self.canonical)[0], 0.0], np.float32)
         return foot_contacts(self.positions + lift, self.motion.fps)
+
+
+def _lift(motion: Motion) -> float:
+    """How far standing toes of the canonical joints are higher, in cm, than they are in the rest pose of a rig.
+
+    Feet of other rigs slope in other ways, so toes of a canonical foot with their length are elsewhere. 0 if the rest
+    pose does not stand on the floor; motion is in cm with Y up.
+    """
+    skeleton = motion.skeleton
+    still = Motion(skeleton, quat_identity((1, len(skeleton))), skeleton.offsets[:1], motion.fps)
+    try:
+        toes = [map_rig(skeleton).places.get(f"{side}ToeBase") for side in ("Left", "Right")]
+        with AS_BROUGHT():
+            rest = canonical_motion(still, own_body=True, scale=1.0)
+    except SkeletonError:
+        return 0.0
+    places = skeleton.rest_positions()[[toe for toe in toes if toe is not None], 1] + skeleton.offsets[0, 1]
+    if len(places) < 2 or not all(_STANDING_TOE[0] <= height <= _STANDING_TOE[1] for height in places):
+        return 0.0
+    return TOE_HEIGHT - float(motion_kinematics(rest)[1][0, list(TOES), 1].mean())
 
 
 def _carried_by_root(motion: Motion) -> Motion:

@@ -14,15 +14,21 @@ const notice = document.getElementById("notice");
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
 // Loading starts first, because it takes longest.
-const loaded = Promise.all([fetched("motionkit.wasm").then((bytes) => WebAssembly.compile(bytes)), fetched("model.bin").then(readModel)]);
+const loaded = Promise.all([fetched("motionkit.wasm").then((bytes) => WebAssembly.compile(bytes)), fetched("model.bin", telling).then(readModel)]);
 let damaged = false;
 const replayed = readAddress(location.href).catch(() => ((damaged = true), null));
 addEventListener("hashchange", () => location.reload()); // another link, opened in the same tab
 
-async function fetched(name) {
+async function fetched(name, told = () => {}) {
   const answer = await fetch(name);
   if (!answer.ok) throw new Error(`${name} is missing (${answer.status})`);
-  return answer.arrayBuffer();
+  let got = 0;
+  const counted = new TransformStream({ transform: (chunk, out) => [told((got += chunk.length)), out.enqueue(chunk)] });
+  return new Response(answer.body.pipeThrough(counted)).arrayBuffer();
+}
+
+function telling(bytes) {
+  notice.textContent = `Loading the model: ${(bytes / 1e6).toFixed(1)} MB …`;
 }
 
 function tools(play) {
@@ -76,10 +82,11 @@ async function begin(play) {
   if ("serviceWorker" in navigator) await navigator.serviceWorker.register("sw.js");
 }
 
-const { bodies, rigs } = JSON.parse(document.getElementById("data").textContent);
+const { bodies, first, rigs } = JSON.parse(document.getElementById("data").textContent);
 if (open(() => new Play((listeners) => new LocalLink(listeners, bodies), tools))) {
+  window.motionkit.stand("default", first);
   begin(window.motionkit).catch((error) => {
-    notice.hidden = false;
+    Object.assign(notice, { hidden: false, className: "notice" });
     notice.textContent = location.protocol === "file:" ? "Browsers load models from servers only: run `python -m http.server` in this folder, and open the address it says." : `The model cannot be loaded: ${error.message}.`;
   });
 }

@@ -35,8 +35,9 @@ export function rigOf(read, joints, tables) {
   });
   const twists = rest.twists(path, (joint, way) => rotated(world(objects[joint].parent).invert(), way).toArray());
   const moves = [[joints.nodes[top], joints.nodes[map.Hips], 0]];
-  const { raised, lift, offsets } = rest.stand();
-  const data = { scale: rest.scale * CM, turn: [1, 0, 0, 0], drives, moves, twists, raised: raised.multiplyScalar(CM).toArray(), lift: [0, lift * CM, 0] };
+  const { raised, lift, offsets, part, standing } = rest.stand();
+  const feet = ["Left", "Right"].flatMap((side) => joints.nodes[map[side + part]] ?? []);
+  const data = { scale: rest.scale * CM, turn: [1, 0, 0, 0], drives, moves, twists, raised: raised.multiplyScalar(CM).toArray(), lift: [0, lift * CM, 0], feet, standing: standing * CM };
   return { data, offsets, map: Object.fromEntries(Object.entries(map).map(([name, joint]) => [name, joints.names[joint]])) };
 }
 
@@ -200,7 +201,7 @@ class RestPose {
     return out;
   }
 
-  /** The body's offsets (cm, 23 × 3) raised to its feet, how far it was raised, and the lift of the whole. */
+  /** The body's offsets (cm, 23 × 3) raised to its feet, how far it was raised, the lift of the whole, and how high which part of standing feet is. */
   stand() {
     const { tables, offsets: usual } = this;
     const number = (name) => tables.names.indexOf(name);
@@ -215,8 +216,8 @@ class RestPose {
     const shown = Math.min(...feet) * this.scale;
     const [low, high] = tables.plausible[part];
     const height = feet.length === 2 && shown >= low && shown <= high ? shown : expected;
-    const lift = Math.max(height, ...["Left", "Right"].map((side) => this.#depth(side, part))) - expected;
-    return { offsets: Float32Array.from(body.flatMap((offset) => offset.toArray())), raised, lift };
+    const standing = Math.max(height, ...["Left", "Right"].map((side) => this.#depth(side, part)));
+    return { offsets: Float32Array.from(body.flatMap((offset) => offset.toArray())), raised, lift: standing - expected, part, standing };
   }
 
   #offset(name, joint) {

@@ -14,6 +14,7 @@ export class Rig {
     rig.ends = data.ends;
     rig.hips = data.hips;
     rig.stature = data.stature;
+    Object.assign(rig, data.bone); // the demo's own .glb has bones with axes of their own
     rig.offsets = await unpack(data.offsets);
     const { body } = data;
     rig.hero = data.hero && { bytes: () => bytesOf(data.hero.data).buffer, ...data.hero };

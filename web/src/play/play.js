@@ -83,7 +83,7 @@ export class Play {
 
   #hello(hello) {
     for (const id of [...this.characters.keys()]) this.#remove(id);
-    this.rigs.clear(); // the server may have changed
+    if (this.hello) this.rigs.clear(); // the server may have changed
     Object.assign(this, { hello, chosen: hello.character, waiting: [], sent: null });
     this.behind = null;
     this.#pace();
@@ -99,7 +99,19 @@ export class Play {
     };
     this.#controls();
     this.#characters(hello.characters);
-    $("notice").hidden = true;
+    Object.assign($("notice"), { className: "notice above", textContent: "Loading …" });
+  }
+
+  /** Shows a body in its first pose before the session begins. */
+  async stand(body, { root, rotations }) {
+    const rig = await this.#rig(body);
+    if (this.hello) return;
+    this.standing = new Figure(rig, new Color(COLORS[0]), this.stage.plain);
+    this.standing.setPose(rig.newPose().set(rig, rotations, 0, root, 0));
+    this.stage.scene.add(this.standing);
+    this.stage.shadowsAt([root[0], root[2]]);
+    this.stage.invalidate();
+    $("notice").className = "notice above";
   }
 
   #event(event) {
@@ -118,7 +130,7 @@ export class Play {
   #lost(fault) {
     const why = fault ? `: ${fault}` : "";
     $("notice").textContent = this.hello ? `The connection is lost${why}. Trying again …` : "No answer from the server. Trying again …";
-    $("notice").hidden = false;
+    Object.assign($("notice"), { className: "notice", hidden: false });
   }
 
   #characters(told) {
@@ -144,8 +156,10 @@ export class Play {
     const hero = await rig.newHero();
     if (this.told.get(id)?.body !== body) return hero?.dispose();
     this.#remove(id);
-    const figure = new Figure(rig, new Color(color), this.stage.plain, hero);
-    figure.visible = false; // hidden until its first frame
+    const stands = this.standing?.rig === rig; // this figure is shown already
+    const figure = stands ? this.standing : new Figure(rig, new Color(color), this.stage.plain, hero);
+    this.standing = null;
+    figure.visible = stands; // others are hidden until their first frame
     this.stage.scene.add(figure);
     this.characters.set(id, { id, body, owner: this.told.get(id).owner, color, figure, rig, pose: new Pose(rig.count) });
   }
@@ -192,6 +206,7 @@ export class Play {
     const around = this.link.around(moment / 1000);
     if (around) this.#pose(around);
     if (this.own?.figure.visible) this.#camera(passed);
+    if ((this.own?.figure.visible || !this.chosen) && !$("notice").hidden) $("notice").hidden = true;
     if (this.stage.draw()) {
       this.shownFrames += 1;
       this.#label();
