@@ -268,7 +268,7 @@ def test_gaits_leave_a_clip_before_it_brakes(tiny_model: MotionModel, slow: floa
     brakes = slow < 0.5
     assert entered[-1] < (200 if brakes else 300) - round(ENTRY.gait_seconds * 60.0)
     player._jump((shown, 100))
-    assert player.leaves == (200 if brakes else 300)
+    assert player.leaves <= 200 if brakes else player.leaves == 300
     player.play(150)
     assert brakes or (player.clip, player.at) == (shown, 250)
 
