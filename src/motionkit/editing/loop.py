@@ -287,7 +287,7 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
 
 
 def _furthest(upright: Upright, start: int, end: int) -> str:
-    """What is furthest between two frames in words: a joint in the heading frame, or its way, which poses hardly show."""
+    """What is furthest between two frames, in words: a joint in the heading frame, or how one moves."""
     skeleton = (upright.canonical or upright.motion).skeleton
     poses = upright.facing_positions
     apart = np.linalg.norm(poses[end] - poses[start], axis=-1)
