@@ -96,6 +96,20 @@ def test_own_archives_come_back(tmp_path: Path, translates: bool) -> None:
     assert np.abs(motion_kinematics(again)[1] - motion_kinematics(walked)[1]).max() < 1e-3
 
 
+def test_values_without_a_number_are_filled_as_in_other_files(tmp_path: Path) -> None:
+    arrays = amass()
+    np.savez(tmp_path / "whole.npz", **arrays)
+    arrays["poses"][7, 3:9] = arrays["trans"][9, 1] = np.nan
+    np.savez(tmp_path / "holes.npz", **arrays)
+    notes: list[str] = []
+    with reading(hear=notes.append):
+        whole, holes = (read_motion(tmp_path / f"{name}.npz") for name in ("whole", "holes"))
+    assert "7 values without a number filled from neighbouring frames" in notes[-1]
+    assert np.abs(motion_kinematics(holes)[1] - motion_kinematics(whole)[1]).max() < 0.05, "metres"
+    with reading(strict=True), pytest.raises(MotionkitError, match="a value that is not a number"):
+        read_motion(tmp_path / "holes.npz")
+
+
 def changed(**arrays: Any) -> Callable[[Path], None]:
     def write(path: Path) -> None:
         np.savez(path, **{name: value for name, value in (amass(4) | arrays).items() if value is not None})

@@ -122,25 +122,30 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
     if first:
         words = "frame is" if first == 1 else f"{first} frames are"
         notes = [f"the first {words} no part of the motion, such as a rest pose: left as it is"]
+    refused: list[str] = []
     for number in range(PASSES):
         tried = _one_pass(made, repairs, rig, limbs)
         notes += tried.notes if number == 0 else ()
+        refused = tried.refused
         if _settled(made, tried.motion):
             break
         made, glitches = tried.motion, [*glitches, *tried.glitches]
     if made is source.motion:
-        return Fixed(motion, _table(source, source, (len(found),) * 2), (), (*notes, "nothing to repair"))
+        return Fixed(
+            motion, _table(source, source, (len(found),) * 2), (), (*notes, *refused, "nothing to repair")
+        )
     table = _table(source, Upright(made), (len(found), len(mend(made, limbs)[1])))
     told = tuple(dict.fromkeys((frame + first, joint) for frame, joint in glitches))
-    return Fixed(motion.cut(0, first).followed_by(source.back(made)), table, told, tuple(notes))
+    return Fixed(motion.cut(0, first).followed_by(source.back(made)), table, told, (*notes, *refused))
 
 
 class _Pass(NamedTuple):
-    """What one pass of all repairs made: the motion, the glitches that it mended, and notes."""
+    """What one pass of all repairs made: the motion, the glitches that it mended, notes, and steps taken back."""
 
     motion: Motion
     glitches: list[tuple[int, str]]
     notes: list[str]
+    refused: list[str]
 
 
 def _one_pass(source: Motion, repairs: Repairs, rig: RigMap | None, limbs: list[Limb]) -> _Pass:
@@ -149,6 +154,7 @@ def _one_pass(source: Motion, repairs: Repairs, rig: RigMap | None, limbs: list[
     costs = first
     glitches: list[tuple[int, str]] = []
     notes: list[str] = []
+    refused: list[str] = []
     if repairs.glitches:
         bridged, spikes = _without_spikes(source)
         notes += [f"the root leaps away in {counted(spikes, 'frame')}: bridged"] if spikes else []
@@ -161,11 +167,12 @@ def _one_pass(source: Motion, repairs: Repairs, rig: RigMap | None, limbs: list[
             tried = Upright(motion)
             now = _costs(tried)
             if worse := _made_worse(step, costs, now, first) or _overturned(made, tried):
-                told = (f"{step.name}: taken back, because {worse}",)
+                refused.append(f"{step.name}: taken back, because {worse}")
+                told = ()
             else:
                 made, costs = tried, now
         notes += told
-    return _Pass(made.motion, glitches, list(dict.fromkeys(notes)))
+    return _Pass(made.motion, glitches, list(dict.fromkeys(notes)), refused)
 
 
 def _settled(before: Motion, after: Motion) -> bool:

@@ -166,7 +166,7 @@ def _backwards(source: SourceRig) -> SkeletonError:
     left, right = _names(source, "Foot")
     return SkeletonError(
         f"the feet {left} and {right} point backwards: left and right are exchanged, or the rig is mirrored by a "
-        "negative scale; a bone map that exchanges them reads it (--map)"
+        "negative scale; `motionkit retarget --rig FILE --save-map map.json` writes a map for it, to give as --map"
     )
 
 
