@@ -58,7 +58,10 @@ def test_poses_of_smpl(tmp_path: Path, joints: int, z_up: bool, kind: str, left:
         motion = read_motion(tmp_path / "a.npz")
         made, report = retarget_file(tmp_path / "a.npz")
     assert told == [f"a.npz: read with poses of {kind} on its mean body; {left} left out"] * 2
-    assert taken(motion) == f"unit: detected from leg length: metres; {'+Z' if z_up else '+Y'} up"
+    assert (
+        taken(motion)
+        == f"unit: detected from leg length: metres; {'+Z up, and stays so in BVH' if z_up else '+Y up'}"
+    )
     assert len(motion.skeleton) == (24 if joints == 24 else 22) and motion.fps == 60.0
     assert np.allclose(motion.root_positions - arrays["trans"], motion.skeleton.offsets[0], atol=1e-6)
     assert (

@@ -243,12 +243,15 @@ def _steps(repairs: Repairs, rig: RigMap | None) -> list[_Step]:
     """The wanted repairs after those of glitches, in order."""
     floor, sliding = Repairs(sliding=False), Repairs(floor=False)
     steps = [
-        (repairs.trembling, "trembling", "jerk", lambda made: (_steadied(made.motion, repairs.strength), ())),
-        (repairs.root_from_feet, "root from feet", "afs", _with_root_from_feet),
-        (repairs.floor, "floor", "floor", lambda made: _on_the_floor(made, rig, floor)),
-        (repairs.sliding, "sliding", "afs", lambda made: _on_the_floor(made, rig, sliding)),
+        (
+            repairs.trembling,
+            _Step("trembling", "jerk", lambda made: (_steadied(made.motion, repairs.strength), ())),
+        ),
+        (repairs.root_from_feet, _Step("root from feet", "afs", _with_root_from_feet)),
+        (repairs.floor, _Step("floor", "floor", lambda made: _on_the_floor(made, rig, floor))),
+        (repairs.sliding, _Step("sliding", "afs", lambda made: _on_the_floor(made, rig, sliding))),
     ]
-    return [_Step(*step) for wanted, *step in steps if wanted]
+    return [step for wanted, step in steps if wanted]
 
 
 def _made_worse(step: _Step, was: dict[str, float], now: dict[str, float], first: dict[str, float]) -> str:

@@ -273,5 +273,7 @@ def pose_notes(pose: RigPose) -> tuple[str, ...]:
         f"{name} {angle:.0f}" for name, angle in zip(JOINT_NAMES, apart.tolist(), strict=True) if angle > 5
     ]
     if turned:
-        notes.append(f"the rest pose differs, in degrees: {', '.join(turned)}")
+        notes.append(
+            f"the rest pose differs from motionkit's, which is handled; in degrees: {', '.join(turned)}"
+        )
     return tuple(notes)
