@@ -19,7 +19,7 @@ from motionkit.data.labels import find_sources
 from motionkit.errors import DatasetError, ModelError
 from motionkit.models.checkpoint import load_model, save_model
 from motionkit.models.model import MotionModel
-from motionkit.names import visible
+from motionkit.names import unknown_name, visible
 from motionkit.play.requests import parse_request
 
 TYPED = "Hüpfen"
@@ -92,3 +92,18 @@ def test_marks_that_steer_a_terminal_are_shown(mark: str) -> None:
 
 def test_other_letters_stay() -> None:
     assert visible("Ärger 跳 \u2027\u202f") == "Ärger 跳 \u2027\u202f"
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"),
+    [
+        ("looking", "'idle'"),
+        ("Jogging", "'running'"),
+        ("boxing", "'punching'"),
+        ("walkin", "'walking'"),
+        ("smiling", ""),
+    ],
+)
+def test_a_name_that_is_meant_is_suggested(word: str, hint: str) -> None:
+    told = unknown_name("motion type", word, ("idle", "punching", "running", "walking"))
+    assert f"{word!r}; did you mean {hint}? (known" in told if hint else "did you mean" not in told

@@ -66,10 +66,28 @@ def about(name: str, text: str) -> str:
     return text if name in text else f"{name}: {text}"
 
 
+# What people call motion types besides their names: beginnings of words, and the types that they may mean.
+MEANT = {
+    "idle": ("look", "stand", "wait", "breath", "rest", "listen", "talk", "stay"),
+    "walking": ("stroll", "stride", "step", "march", "strut"),
+    "running": ("jog", "sprint", "race", "rush", "dash"),
+    "jumping-b": ("jump", "hop", "leap", "bounc"),
+    "punching": ("box", "hit", "punch", "jab"),
+    "martial-arts": ("fight", "karate", "kungfu", "combat", "wushu"),
+    "dance-modern": ("danc",),
+    "dive-roll": ("roll", "tumbl"),
+    "backflip": ("flip", "somersault", "salto", "acrobat"),
+    "duck": ("crouch", "sneak", "bow", "bend"),
+    "twist": ("spin", "pirouette"),
+}
+
+
 def unknown_name(what: str, name: str, known: tuple[str, ...]) -> str:
-    """The message for an unknown name, with the nearest known one."""
+    """The message for an unknown name, with the known one that is meant (MEANT) or spelt most alike."""
     import difflib
 
-    near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.4)
+    word = name.lower()
+    near = [kind for kind, begins in MEANT.items() if kind in known and word.startswith(begins)]
+    near = near or difflib.get_close_matches(word, known, n=1, cutoff=0.6)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     return f"unknown {what} {name!r}{hint} (known: {', '.join(known)})"

@@ -83,6 +83,30 @@ def test_looking_at_a_rig(place: Path) -> None:
     assert told["missing"] == ["LowerBack", "Neck1"]
 
 
+def test_the_saved_map_of_a_mirrored_rig_reads_it(place: Path) -> None:
+    """As of a Kinect that sees a mirror image: each joint is the other one, on the other side."""
+    made = walk(20)
+    skeleton = replace(made.skeleton, offsets=made.skeleton.offsets * np.array([-1.0, 1.0, 1.0], np.float32))
+    turns = made.local_rotations * np.array([1.0, 1.0, -1.0, -1.0], np.float32)
+    write_bvh("mirrored.bvh", replace(made, skeleton=skeleton, local_rotations=turns))
+    assert "--save-map map.json" in fault("retarget", "mirrored.bvh")
+    saved = run("retarget", "--rig", "mirrored.bvh", "--save-map", "map.json")
+    assert saved.exit_code == 0 and "exchanges left and right" in saved.output
+    assert run("retarget", "mirrored.bvh", "--source-map", "map.json", "-o", "out.bvh").exit_code == 0
+
+
+def test_notes_of_a_folder_are_told_once(place: Path) -> None:
+    (place / "clips").mkdir()
+    text = (place / "my.bvh").read_text().splitlines()
+    (place / "clips" / "hole.bvh").write_text(
+        "\n".join((*text[:-1], f"nan {text[-1].split(maxsplit=1)[1]}\n"))
+    )
+    assert (
+        run("retarget", "clips", "--rig", "my.bvh", "-o", "out").output.count("hole.bvh: read with 1 value")
+        == 1
+    )
+
+
 def test_the_bone_map_names_what_names_say(place: Path) -> None:
     shown = run("retarget", "--rig", "my.bvh").output
     for name in ("Hips", "Spine", "Chest", "Neck", "Head", "Shoulder_L", "UpperLeg_L"):

@@ -58,7 +58,10 @@ def test_poses_of_smpl(tmp_path: Path, joints: int, z_up: bool, kind: str, left:
         motion = read_motion(tmp_path / "a.npz")
         made, report = retarget_file(tmp_path / "a.npz")
     assert told == [f"a.npz: read with poses of {kind} on its mean body; {left} left out"] * 2
-    assert taken(motion) == f"unit: detected from leg length: metres; {'+Z' if z_up else '+Y'} up"
+    assert (
+        taken(motion)
+        == f"unit: detected from leg length: metres; {'+Z up, and stays so in BVH' if z_up else '+Y up'}"
+    )
     assert len(motion.skeleton) == (24 if joints == 24 else 22) and motion.fps == 60.0
     assert np.allclose(motion.root_positions - arrays["trans"], motion.skeleton.offsets[0], atol=1e-6)
     assert (
@@ -94,6 +97,20 @@ def test_own_archives_come_back(tmp_path: Path, translates: bool) -> None:
     assert again.skeleton.same_hierarchy(walked.skeleton) and again.fps == 60.0
     assert again.skeleton.end_sites.keys() == walked.skeleton.end_sites.keys()
     assert np.abs(motion_kinematics(again)[1] - motion_kinematics(walked)[1]).max() < 1e-3
+
+
+def test_values_without_a_number_are_filled_as_in_other_files(tmp_path: Path) -> None:
+    arrays = amass()
+    np.savez(tmp_path / "whole.npz", **arrays)
+    arrays["poses"][7, 3:9] = arrays["trans"][9, 1] = np.nan
+    np.savez(tmp_path / "holes.npz", **arrays)
+    notes: list[str] = []
+    with reading(hear=notes.append):
+        whole, holes = (read_motion(tmp_path / f"{name}.npz") for name in ("whole", "holes"))
+    assert "7 values without a number filled from neighbouring frames" in notes[-1]
+    assert np.abs(motion_kinematics(holes)[1] - motion_kinematics(whole)[1]).max() < 0.05, "metres"
+    with reading(strict=True), pytest.raises(MotionkitError, match="a value that is not a number"):
+        read_motion(tmp_path / "holes.npz")
 
 
 def changed(**arrays: Any) -> Callable[[Path], None]:

@@ -148,7 +148,7 @@ def _run_one(job: _Job) -> tuple[str, list[str]]:
             assert command.callback is not None
             command.callback(**job.values)
         except click.ClickException as error:
-            return error.format_message(), notes
+            return error.format_message(), list(dict.fromkeys(notes))
         except (MotionkitError, OSError) as error:
-            return str(error), notes
-    return "", notes
+            return str(error), list(dict.fromkeys(notes))
+    return "", list(dict.fromkeys(notes))  # a file may be read twice, such as for its motion and for its rig

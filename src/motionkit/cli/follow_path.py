@@ -35,7 +35,11 @@ FAR = 30_000.0  # cm; a longer path may have been meant in other units
     help="Named shapes: motion types along the path, in equal parts, such as running,cartwheel,running; "
     "walking by default, or the model's walk under its own name.",
 )
-@click.option("--size", type=FINITE, help="Named shapes: length, radius or side in metres.")
+@click.option(
+    "--size",
+    type=FINITE,
+    help="Named shapes: length of a line or u-turn, radius of a circle or figure-eight, side of the others, in metres.",
+)
 @click.option("--speed", type=FINITE, help="Named shapes: speed in m/s; each type's own by default.")
 @click.option(
     "--strict",

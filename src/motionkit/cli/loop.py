@@ -68,7 +68,11 @@ def command(
     if note := loop.note(seconds):
         remark(note)
     cut = {"start": loop.start, "end": loop.end, "seconds": loop.seconds, "difference_cm": loop.difference}
-    length = f"frames {loop.start} to {loop.end} of {clip.name}, {loop.seconds:.2f} s"
+    cut |= {"times": loop.times}
     took = taken(source.motion)
-    lines = [f"wrote {shown_name(outputs.file)}: {length}", f"  {loop.seam.sentence()}", f"  {took}"]
+    lines = [
+        f"wrote {shown_name(outputs.file)}: {loop.sentence(clip.name)}",
+        f"  {loop.seam.sentence()}",
+        f"  {took}",
+    ]
     outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict(), "taken": took}, lines)

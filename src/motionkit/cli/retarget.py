@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +39,7 @@ from motionkit.cli.rig_options import (
     rest_options,
     rig_option,
 )
+from motionkit.errors import SkeletonError
 from motionkit.names import counted
 from motionkit.reading import reading
 
@@ -218,14 +219,48 @@ def _inspect(rigs: Rigs, as_json: bool) -> None:
 
     if rigs.save_map:
         check_outputs([rigs.save_map], [rigs.rig_path, rigs.map_path])
-    rig = open_rig(rigs.rig_path, rigs.map_path, None).rig
-    assert rig is not None
-    saved = rigs.save(rig, rigs.rig_path)
+    try:
+        rig = open_rig(rigs.rig_path, rigs.map_path, None).rig
+        assert rig is not None
+        saved = rigs.save(rig, rigs.rig_path)
+    except SkeletonError:
+        if rigs.save_map is None or rigs.map_path is not None:
+            raise
+        rig, saved = _save_exchanged(rigs.rig_path, rigs.save_map)
     if as_json:
         print_json(rig_told(rig))
         return
     for line in (*_whole_rig(rig), *saved):
         stdout_console().print(line)
+
+
+def _save_exchanged(rig_path: Path, save_map: Path) -> tuple[Rig, list[str]]:
+    """Write the map of a mirrored rig, which is read once left and right are exchanged; returns the rig and lines.
+
+    Raises:
+        SkeletonError: the rig cannot be read that way either; nothing is written.
+    """
+    from motionkit.rig.map_file import write_rig_map
+    from motionkit.rig.names import map_rig
+    from motionkit.rig.read_file import read_file
+
+    skeleton = read_file(rig_path).skeleton
+    found = map_rig(skeleton)
+    sides = {"Left": "Right", "Right": "Left"}
+    exchanged = {
+        next((sides[side] + name.removeprefix(side) for side in sides if name.startswith(side)), name): joint
+        for name, joint in found.places.items()
+    }
+    write_rig_map(save_map, skeleton, replace(found, places=exchanged))
+    try:
+        rig = open_rig(rig_path, save_map, None).rig
+    except SkeletonError:
+        save_map.unlink()
+        raise
+    assert rig is not None
+    return rig, [
+        f"wrote {save_map}: bone map that exchanges left and right, which are mirrored; give it as --map"
+    ]
 
 
 def rig_told(rig: Rig) -> dict[str, Any]:

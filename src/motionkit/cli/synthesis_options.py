@@ -151,10 +151,12 @@ def motion_metrics(motion: Motion) -> dict[str, Any]:
 
 def metrics_line(metrics: dict[str, Any]) -> str:
     """What is seen of the metrics of one motion, in words; --json and `motionkit metrics` have all."""
+    from motionkit.metrics.report import SLIDING
+
     words = []
     slides, deep = (metrics.get(name, {}).get("value") for name in ("skate-ratio", "penetration-max"))
     if slides is not None:
-        words.append(f"feet on the floor slide {100 * slides:.0f} % of the time")
+        words.append(SLIDING.format(100 * slides))
     if deep is not None:
         words.append(
             f"feet at most {deep:.1f} cm too low" if deep > UNSEEN_DEPTH else "nothing below the floor"

@@ -39,18 +39,23 @@ MEASURED: dict[str, str] = {
     "penetration-max": "deepest below the floor",
     "afs": "foot sliding (AFS)",
     "skate-ratio": "share of standing toes that slide",
-    "jerk": "jerk",
+    "jerk": "trembling (jerk)",
 }
-PASSES = 8  # most passes over glitches; each may uncover others
+PASSES = 8  # most passes of all repairs, and over glitches; each may uncover others
 # cm/s, and cm besides, that a root moves at most between two frames; further leaps are spikes, or frames elsewhere.
 FASTEST_ROOT, ROOT_SLACK = 2000.0, 50.0
 # Most frames at the start of a clip that are apart from it, and the mean turn of the joints (degrees) out of them: at
 # least, and relative to the median of the steps after. Rest poses at the start of clips turn by 13 and more; measured.
 MOST_APART, APART, APART_SHARE = 3, 10.0, 8.0
-# Share, and amount besides, by which a step may raise a measure; else it is taken back.
+# Share, and amounts besides, by which a step may raise what it is to lower, and what it is not about; nobody sees them.
 WORSE_SHARE = 1.05
-WORSE = {"jerk": 0.02, "afs": 0.02, "floor": 0.02}
-SETTLED = 1.0  # cm that feet may be off their height before floor and feet are repaired once more
+WORSE = {"jerk": 0.02, "afs": 0.005, "floor": 0.02}
+WORSE_BESIDE = {"afs": 0.02, "penetration-max": 0.5}
+# cm that a pass moves joints, in the mean and at most, below which it is left out and repairs end: nobody sees them.
+SEEN_MEAN, SEEN = 0.05, 1.0
+# Share of a track's third differences that the filter leaves at most if it trembles: .06 to .45 in trembling captures,
+# by their rate, .55 to 1 in clean ones, fast or slow; measured.
+TREMBLES = 0.5
 FAR_OFF = 15.0  # cm; without toes the floor is uncertain, so it is moved only if it is further off than this
 
 
@@ -107,56 +112,100 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         raise MotionkitError(f"expected at least 2 frames to repair, found {len(motion)}")
     if not motion.skeleton.offsets[1:].any() and motion.local_positions is None:
         raise SkeletonError("all bones have zero length, expected a rig")
-    if first := _apart(motion):
-        fixed = fix_motion(motion.cut(first, len(motion)), repairs)
-        note = f"the clip begins with {counted(first, 'frame')} apart from the rest, such as a rest pose: left as it is"
-        shifted = tuple((frame + first, joint) for frame, joint in fixed.glitches)
-        return Fixed(
-            motion.cut(0, first).followed_by(fixed.motion), fixed.table, shifted, (note, *fixed.notes)
-        )
-    source = Upright.of(motion)
+    first = _apart(motion)
+    source = Upright.of(motion.cut(first, len(motion)))
     made, rig = source.motion, _rig(source.motion)
     limbs = _limbs(made, rig)
     found = mend(made, limbs)[1]
     glitches: list[tuple[int, str]] = []
     notes: list[str] = []
-    if repairs.glitches:
-        made, spikes = _without_spikes(made)
-        notes += [f"the root leaps away in {counted(spikes, 'frame')}: bridged"] if spikes else []
-        made, glitches = _mended(made, limbs)
-    for _ in range(PASSES):
-        shown = made
-        for step in _steps(repairs, rig):
-            made, told = _tried(made, step, source.motion)
-            notes += told
-        if made is shown or not repairs.floor or _off_the_floor(made) < SETTLED:
+    if first:
+        words = "frame is" if first == 1 else f"{first} frames are"
+        notes = [f"the first {words} no part of the motion, such as a rest pose: left as it is"]
+    refused: list[str] = []
+    for number in range(PASSES):
+        tried = _one_pass(made, repairs, rig, limbs)
+        notes += tried.notes if number == 0 else ()
+        refused = tried.refused
+        if _settled(made, tried.motion):
             break
-        repairs = replace(repairs, trembling=False, root_from_feet=False)
-    left = mend(made, limbs)[1]
-    table = _table(source, Upright(made), (float(len(found)), float(len(left))))
-    return Fixed(source.back(made), table, tuple(glitches), tuple(dict.fromkeys(notes)))
+        made, glitches = tried.motion, [*glitches, *tried.glitches]
+    if made is source.motion:
+        return Fixed(
+            motion, _table(source, source, (len(found),) * 2), (), (*notes, *refused, "nothing to repair")
+        )
+    table = _table(source, Upright(made), (len(found), len(mend(made, limbs)[1])))
+    told = tuple(dict.fromkeys((frame + first, joint) for frame, joint in glitches))
+    return Fixed(motion.cut(0, first).followed_by(source.back(made)), table, told, (*notes, *refused))
+
+
+class _Pass(NamedTuple):
+    """What one pass of all repairs made: the motion, the glitches that it mended, notes, and steps taken back."""
+
+    motion: Motion
+    glitches: list[tuple[int, str]]
+    notes: list[str]
+    refused: list[str]
+
+
+def _one_pass(source: Motion, repairs: Repairs, rig: RigMap | None, limbs: list[Limb]) -> _Pass:
+    """All wanted repairs once. They depend on the motion alone, so that a next run leaves what is settled here."""
+    made, first = Upright(source), _costs(Upright(source))
+    costs = first
+    glitches: list[tuple[int, str]] = []
+    notes: list[str] = []
+    refused: list[str] = []
+    if repairs.glitches:
+        bridged, spikes = _without_spikes(source)
+        notes += [f"the root leaps away in {counted(spikes, 'frame')}: bridged"] if spikes else []
+        mended, glitches = _mended(bridged, limbs)
+        if mended is not source:
+            made, costs = Upright(mended), _costs(Upright(mended))
+    for step in _steps(repairs, rig):
+        motion, told = step.make(made)
+        if motion is not made.motion:
+            tried = Upright(motion)
+            now = _costs(tried)
+            if worse := _made_worse(step, costs, now, first) or _overturned(made, tried):
+                refused.append(f"{step.name}: taken back, because {worse}")
+                told = ()
+            else:
+                made, costs = tried, now
+        notes += told
+    return _Pass(made.motion, glitches, list(dict.fromkeys(notes)), refused)
+
+
+def _settled(before: Motion, after: Motion) -> bool:
+    """Whether a pass has changed nothing that a person could see."""
+    moved = np.linalg.norm(motion_kinematics(after)[1] - motion_kinematics(before)[1], axis=-1)
+    return bool(moved.mean() < SEEN_MEAN and moved.max() < SEEN)
 
 
 def _apart(motion: Motion) -> int:
-    """Number of frames at the start, at most MOST_APART, from which the whole body leaps into the rest of the clip."""
-    if len(motion) < 4 * MOST_APART:
-        return 0
-    steps = geodesic_movement(motion.local_rotations[: 4 * MOST_APART + 1]).mean(axis=1)
-    usual = float(np.median(steps[MOST_APART:]))
-    leaps = np.flatnonzero(steps[:MOST_APART] > max(APART, APART_SHARE * usual))
-    return int(leaps[-1]) + 1 if leaps.size else 0
+    """Number of frames at the start from which the whole body leaps into the rest of the clip, MOST_APART at a time."""
+    steps = geodesic_movement(motion.local_rotations).mean(axis=1)
+    first = 0
+    while len(motion) - first >= 4 * MOST_APART:
+        ahead = steps[first : first + 4 * MOST_APART]
+        leaps = np.flatnonzero(
+            ahead[:MOST_APART] > max(APART, APART_SHARE * float(np.median(ahead[MOST_APART:])))
+        )
+        if not leaps.size:
+            break
+        first += int(leaps[-1]) + 1
+    return first
 
 
 def _mended(motion: Motion, limbs: list[Limb]) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion without glitches, mended until another pass finds none or no fewer, and all that were found."""
+    """The motion without glitches, mended as long as that leaves fewer of them, and all that were mended."""
     every: list[tuple[int, str]] = []
-    fewest = None
+    mended, found = mend(motion, limbs)
     for _ in range(PASSES):
-        mended, found = mend(motion, limbs)
-        if not found or (fewest is not None and len(found) >= fewest):
+        again, left = mend(mended, limbs)
+        if len(left) >= len(found):
             break
-        motion, fewest = mended, len(found)
-        every += found
+        motion, every = mended, every + found
+        mended, found = again, left
     return motion, list(dict.fromkeys(every))
 
 
@@ -183,64 +232,55 @@ def _without_spikes(motion: Motion) -> tuple[Motion, int]:
 
 
 class _Step(NamedTuple):
-    """A repair: its name, the measure that it is to lower, and what it does to a motion."""
+    """A repair: its name, the measure that it is to lower, and what it does to a motion in cm with Y up."""
 
     name: str
     measure: str
-    make: Callable[[Motion], tuple[Motion, tuple[str, ...]]]
+    make: Callable[[Upright], tuple[Motion, tuple[str, ...]]]
 
 
 def _steps(repairs: Repairs, rig: RigMap | None) -> list[_Step]:
     """The wanted repairs after those of glitches, in order."""
+    floor, sliding = Repairs(sliding=False), Repairs(floor=False)
     steps = [
         (
             repairs.trembling,
-            _Step("trembling", "jerk", lambda motion: (_steadied(motion, repairs.strength), ())),
+            _Step("trembling", "jerk", lambda made: (_steadied(made.motion, repairs.strength), ())),
         ),
         (repairs.root_from_feet, _Step("root from feet", "afs", _with_root_from_feet)),
-        (
-            repairs.floor,
-            _Step("floor", "floor", lambda motion: _on_the_floor(motion, rig, Repairs(sliding=False))),
-        ),
-        (
-            repairs.sliding,
-            _Step("sliding", "afs", lambda motion: _on_the_floor(motion, rig, Repairs(floor=False))),
-        ),
+        (repairs.floor, _Step("floor", "floor", lambda made: _on_the_floor(made, rig, floor))),
+        (repairs.sliding, _Step("sliding", "afs", lambda made: _on_the_floor(made, rig, sliding))),
     ]
     return [step for wanted, step in steps if wanted]
 
 
-def _tried(made: Motion, step: _Step, source: Motion) -> tuple[Motion, list[str]]:
-    """The motion after a step, and notes; without the step if it makes anything worse.
+def _made_worse(step: _Step, was: dict[str, float], now: dict[str, float], first: dict[str, float]) -> str:
+    """What a step makes worse, in words: what it is to lower, or feet beyond those of the source; "" for nothing.
 
-    What a step is to lower may not rise, and feet may not slide more than in the source. Jerk may rise, because feet
-    that are held stop.
+    Jerk may rise, because feet that are held stop.
     """
-    tried, told = step.make(made)
-    if tried is made:
-        return made, list(told)
-    was, now, first = _costs(made), _costs(tried), _costs(source)
-    for name, slack in WORSE.items():
-        if name not in (step.measure, "afs"):
-            continue
-        before = was.get(name) if name == step.measure else max(was.get(name, 0.0), first.get(name, np.inf))
-        if before is not None and now.get(name, 0.0) > WORSE_SHARE * before + slack:
-            why = f"{MEASURED.get(name, name)} {before:.3g} to {now[name]:.3g}"
-            return made, [f"{step.name}: taken back, because it made it worse ({why})"]
-    axes = [up_axis(motion_kinematics(each)[1], each.skeleton) for each in (made, tried)]
-    if axes[1][1] < 1.0 <= axes[0][1]:
-        return made, [f"{step.name}: taken back, because {up_name(axes[1])} would then seem to be up"]
-    return tried, list(told)
+    limits = {name: max(was.get(name, 0.0), first.get(name, np.inf)) for name in WORSE_BESIDE}
+    limits |= {step.measure: was[step.measure]} if step.measure in was else {}
+    for name, before in limits.items():
+        slack = (WORSE if name == step.measure else WORSE_BESIDE)[name]
+        if now.get(name, 0.0) > WORSE_SHARE * before + slack:
+            return f"it made it worse ({MEASURED.get(name, name)} {before:.3g} to {now[name]:.3g})"
+    return ""
 
 
-def _costs(motion: Motion) -> dict[str, float]:
+def _overturned(before: Upright, after: Upright) -> str:
+    """Which axis would seem to be up after a step, if Y did before; "" if it still does."""
+    axes = [up_axis(motion_kinematics(each.motion)[1], each.motion.skeleton) for each in (before, after)]
+    return f"{up_name(axes[1])} would then seem to be up" if axes[1][1] < 1.0 <= axes[0][1] else ""
+
+
+def _costs(upright: Upright) -> dict[str, float]:
     """The measures of WORSE, as far as they can be taken; floor is how far feet are off their height, or below zero."""
-    canonical = Upright(motion).canonical
-    if canonical is None:
-        jerk = _jerk(motion)
+    if upright.canonical is None:
+        jerk = _jerk(upright.motion)
         return {} if jerk is None else {"jerk": jerk}
     try:
-        report = evaluate_motion(canonical)
+        report = evaluate_motion(upright.canonical)
     except MotionkitError:
         return {}
     found = {name: report.value(name) for name in ("jerk", "afs", "floor-height", "penetration-max")}
@@ -274,26 +314,33 @@ def _limbs(motion: Motion, rig: RigMap | None) -> list[Limb]:
 
 
 def _steadied(motion: Motion, strength: float) -> Motion:
-    """The motion with jitter removed."""
+    """The motion with the joints and the root filtered that tremble."""
     window = window_at(motion.fps * strength)
-    local = motion.local_positions
-    return replace(
-        motion,
-        local_rotations=smooth_rotations(motion.local_rotations, window),
-        root_positions=smooth(motion.root_positions, window),
-        local_positions=None if local is None else smooth(local, window),
+    turns, roots, local = motion.local_rotations, motion.root_positions, motion.local_positions
+    smoothed = smooth_rotations(turns, window)
+    trembling = _trembles(quat_continuous(turns), smoothed)
+    turns = np.where(trembling[:, None], smoothed, turns)
+    smooth_roots = smooth(roots, window)
+    if _trembles(roots, smooth_roots):
+        roots = smooth_roots
+    if local is not None:
+        smoothed = smooth(local, window)
+        local = np.where(_trembles(local, smoothed)[:, None], smoothed, local)
+    return replace(motion, local_rotations=turns, root_positions=roots, local_positions=local)
+
+
+def _trembles(values: Array, smoothed: Array) -> Array:
+    """Which of the tracks (T, ..., n) tremble (...): those whose third differences the filter halves at least."""
+    before, after = (
+        np.linalg.norm(np.diff(each.astype(np.float64), n=3, axis=0), axis=-1).sum(axis=0)
+        for each in (values, smoothed)
     )
+    return np.asarray(after < TREMBLES * before)
 
 
-def _off_the_floor(motion: Motion) -> float:
-    """How far in cm standing feet are off their height."""
-    canonical = Upright(motion).canonical
-    return 0.0 if canonical is None else abs(floor_shift(canonical)[0])
-
-
-def _with_root_from_feet(motion: Motion) -> tuple[Motion, tuple[str, ...]]:
+def _with_root_from_feet(upright: Upright) -> tuple[Motion, tuple[str, ...]]:
     """The motion with the root where its standing feet say, and notes."""
-    canonical = Upright(motion).canonical
+    motion, canonical = upright.motion, upright.canonical
     if canonical is None:
         return motion, ("the rig is not a known human one: its root was left as it is",)
     made = root_from_feet(canonical)
@@ -306,10 +353,9 @@ def _with_root_from_feet(motion: Motion) -> tuple[Motion, tuple[str, ...]]:
     return replace(motion, root_positions=motion.root_positions + shift), (note,)
 
 
-def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple[Motion, tuple[str, ...]]:
+def _on_the_floor(upright: Upright, rig: RigMap | None, repairs: Repairs) -> tuple[Motion, tuple[str, ...]]:
     """The motion with its floor at zero and feet locked during contacts, and notes."""
-    upright = Upright(motion)
-    canonical = upright.canonical
+    motion, canonical = upright.motion, upright.canonical
     if canonical is None or rig is None:
         return motion, ("the rig is not a known human one: floor and feet were left as they are",)
     shift, notes = floor_shift(canonical)

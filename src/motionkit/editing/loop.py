@@ -107,6 +107,7 @@ class Loop:
         start, end: first and last frame of the cycle in the clip, both included; the motion may repeat it.
         seam: the discontinuity where the cycle repeats.
         difference: cm between the ends of the cycle in the clip: poses, velocities and contacts combined.
+        times: how often the motion repeats the cycle.
     """
 
     motion: Motion
@@ -114,10 +115,11 @@ class Loop:
     end: int
     seam: Seam
     difference: float
+    times: int = 1
 
     @property
     def seconds(self) -> float:
-        """Length of the cycle."""
+        """Length of the motion: of the cycle, as often as it is repeated."""
         return (len(self.motion) - 1) / self.motion.fps
 
     def note(self, wish: float | None) -> str | None:
@@ -125,6 +127,12 @@ class Loop:
         if wish is None or abs(self.seconds - wish) <= FAR_FROM_WISH * wish:
             return None
         return f"the cycle nearest to {wish:g} s lasts {self.seconds:.2f} s"
+
+    def sentence(self, name: str) -> str:
+        """Which frames of a clip of this name it is, and its length, in words."""
+        frames = f"frames {self.start} to {self.end} of {name}"
+        once = f"{frames}, {self.seconds / self.times:.2f} s"
+        return once if self.times == 1 else f"{once}, {self.times} times: {self.seconds:.2f} s"
 
 
 def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = False) -> Loop:
@@ -150,7 +158,7 @@ def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = 
     closed = _repeated(_closed(upright, start, end), times)
     if from_origin:
         closed = at_origin(closed, cyclic=True)
-    return Loop(upright.back(closed), start, end, seam(closed), difference)
+    return Loop(upright.back(closed), start, end, seam(closed), difference, times)
 
 
 def loop_seconds(wish: float | None) -> float:
@@ -215,19 +223,23 @@ def _repeated(cycle: Motion, times: int) -> Motion:
 
 
 def _cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, float]:
-    """The cycle of find_cycle, or the whole clip if nothing else repeats and its last frame is its first."""
+    """The cycle of find_cycle; the whole clip if nothing else repeats and its last frame is its first, or nearly.
+
+    A clip that was made as a cycle is not cut for one that is a little shorter.
+    """
+    ends = upright.positions if upright.canonical is None else upright.facing_positions
+    apart = np.linalg.norm(ends[-1] - ends[0], axis=-1)
+    moves = len(ends) > 2 and float(np.ptp(ends, axis=0).max()) > CLOSED
+    step = float(np.median(np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1))) if moves else 0.0
+    whole = 0, len(ends) - 1, float(apart.mean())
     try:
-        return find_cycle(upright, seconds)
+        found = find_cycle(upright, seconds)
     except MotionkitError:
-        if len(upright.motion) < 3:
-            raise
-        ends = upright.positions if upright.canonical is None else upright.facing_positions
-        apart = np.linalg.norm(ends[-1] - ends[0], axis=-1)
-        moves = float(np.ptp(ends, axis=0).max()) > CLOSED
-        step = float(np.median(np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1)))
         if not moves or apart.max() > max(CLOSED, CLOSED_STEP * step):
             raise
-        return 0, len(ends) - 1, float(apart.mean())
+        return whole
+    made_as_one = moves and seconds is None and apart.max() < min(CLOSED, step)
+    return whole if made_as_one and 2 * (found[1] - found[0]) > whole[1] else found
 
 
 def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, float]:
@@ -268,10 +280,24 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
     start, end, difference = _refined(rows, int(every[a]), int(every[b]), stride, least)
     if difference > limit:
         raise MotionkitError(
-            f"the clip never repeats: the ends of its best cycle are too different to loop, {difference:.1f} cm "
-            f"apart, expected at most {limit:.1f}"
+            f"the clip never repeats: the ends of its best cycle, frames {start} and {end}, are too different to loop: "
+            f"{_furthest(upright, start, end)}"
         )
     return start, end, difference
+
+
+def _furthest(upright: Upright, start: int, end: int) -> str:
+    """What is furthest between two frames, in words: a joint in the heading frame, or how one moves."""
+    skeleton = (upright.canonical or upright.motion).skeleton
+    poses = upright.facing_positions
+    apart = np.linalg.norm(poses[end] - poses[start], axis=-1)
+    joint = int(apart.argmax())
+    speeds = (
+        np.linalg.norm(np.gradient(poses, axis=0)[[start, end]], axis=-1).max(axis=0) * upright.motion.fps
+    )
+    if VELOCITY_SECONDS * float(speeds.max()) > float(apart[joint]) and apart[joint] < LEAST_LIMIT:
+        return f"{skeleton.names[int(speeds.argmax())]} moves another way"
+    return f"{skeleton.names[joint]} {apart[joint]:.0f} cm apart"
 
 
 def pose_rows(upright: Upright) -> Array:

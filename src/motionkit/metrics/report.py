@@ -39,6 +39,7 @@ from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
 from motionkit.rig.canonical import load_canonical
+from motionkit.rig.upright import Upright
 
 # Unit of each metric that needs a pair, and its value for the ground truth against itself.
 PAIR_METRICS: dict[str, tuple[str, float]] = {
@@ -56,6 +57,7 @@ PAIR_METRICS: dict[str, tuple[str, float]] = {
 _WITHOUT_RATIO = frozenset(
     {"floor-height", "lowest-feet", "lowest-hands", "lowest-head", "lowest-body", "flight-acceleration"}
 )
+SLIDING = "feet on the floor slide {:.0f} % of the time"  # skate-ratio in words
 APART = 3.0  # cm; a larger difference between the floors of a pair gets a note
 
 
@@ -282,6 +284,16 @@ def _floor(motion: Motion, settings: MetricSettings) -> float:
 
 def _floor_value(floor: float, settings: MetricSettings) -> MetricValue:
     return MetricValue("floor-height", floor, "cm", {"floor": "own" if settings.floor is None else "given"})
+
+
+def sliding_words(motion: Motion) -> str:
+    """How much the feet of a motion of any rig slide; "" if it is not known as a human one, or too short."""
+    try:
+        canonical = Upright.of(motion).canonical
+        slides = None if canonical is None else evaluate_motion(canonical).value("skate-ratio")
+    except MotionkitError:
+        return ""
+    return "" if slides is None else SLIDING.format(100 * slides)
 
 
 def _own_metrics(

@@ -150,7 +150,7 @@ def filled(values: NDArray[np.float64], channels: list[str], notes: Notes) -> ND
 
     Angles take the shorter way round. A channel without any number becomes zero. Too many such values stay.
     """
-    if np.isfinite(values.min() + values.max()) or not values.size:
+    if not values.size or np.isfinite(values.min() + values.max()):
         return values
     known = np.isfinite(values)
     if known.mean() < 1.0 - MOST_UNKNOWN:

@@ -18,7 +18,7 @@ from motionkit.errors import MotionkitError
 from motionkit.files import open_regular
 from motionkit.free_memory import check_memory
 from motionkit.motion.bvh import BvhFile, motion_to_bvh
-from motionkit.motion.bvh_rows import MAX_NUMBER
+from motionkit.motion.bvh_rows import MAX_NUMBER, Notes, filled
 from motionkit.motion.bvh_text import (
     LONGEST_FRAME,
     MAX_BYTES,
@@ -73,6 +73,7 @@ class _Archive:
         self.path = path
         self.zip = names
         self.names = [name.removesuffix(".npy") for name in names.namelist()]
+        self.notes = Notes(path)
 
     def __contains__(self, name: str) -> bool:
         return name in self.names
@@ -94,7 +95,9 @@ class _Archive:
             raise self.fault(f"its array {name!r} is cut off")
         return shape, dtype
 
-    def read(self, name: str, shape: tuple[int | None, ...] = (), kind: str = "number") -> Array:
+    def read(
+        self, name: str, shape: tuple[int | None, ...] = (), kind: str = "number", fill: bool = False
+    ) -> Array:
         """An array of a shape, None for any length, () for one value; numbers are float64 and within MAX_NUMBER.
 
         Raises:
@@ -114,6 +117,8 @@ class _Archive:
         if kind == "number":
             with np.errstate(invalid="ignore"):  # a NaN of the kind that signals
                 values = values.astype(np.float64)
+            if fill:
+                values = filled(values, [name] * values.shape[1], self.notes)
             if not bool((np.abs(values) <= MAX_NUMBER).all()):
                 raise self.fault(
                     f"its array {name!r} has a value that is not a number up to {MAX_NUMBER:,.0f}"
@@ -121,6 +126,10 @@ class _Archive:
         elif values.size and int(values.view(values.dtype.byteorder + "u4").max()) > sys.maxunicode:
             raise self.fault(f"its array {name!r} has a letter that does not exist")
         return values
+
+    def track(self, name: str, shape: tuple[int | None, int | None]) -> Array:
+        """An array (T, n) of frames, with values that are no numbers filled as in other files, unless read strictly."""
+        return self.read(name, shape, fill=not self.notes.strict)
 
     def frames(self, name: str, shape: tuple[int | None, ...], joints: int, fps: float) -> Array:
         """An array (T, ...) of frames, which fit into memory."""
@@ -130,7 +139,7 @@ class _Archive:
         except MotionkitError as error:
             raise self.fault(str(error)) from None
         check_duration(self.path, count, 1.0 / fps, None)
-        values = self.read(name, (None, *shape))
+        values = self.track(name, (None, *shape)) if len(shape) == 1 else self.read(name, (None, *shape))
         if not len(values):
             raise self.fault(f"its array {name!r} has no frames")
         return values
@@ -187,13 +196,13 @@ def _smpl(archive: _Archive) -> Motion:
     if poses.shape[1] not in WIDTHS:
         known = ", ".join(f"{width} ({name})" for width, name in WIDTHS.items())
         raise archive.fault(f"expected poses of {known} numbers, found {poses.shape[1]}")
-    places = archive.read("trans", (len(poses), 3))
+    places = archive.track("trans", (len(poses), 3))
     notes = [f"poses of {WIDTHS[poses.shape[1]]} on its mean body"]
     left = ["betas"] if "betas" in archive else []
     left += ["fingers"] if poses.shape[1] > 3 * (BODY + 2) else []
     notes += [f"{' and '.join(left)} left out"] if left else []
     notes += [] if fps else [f"{RATE:g} frames a second, because the file does not say its rate"]
-    tell(archive.path, tuple(notes))
+    tell(archive.path, (*notes, *archive.notes.lines))
     return smpl_motion(poses, places, fps or RATE)
 
 

@@ -166,7 +166,7 @@ def _backwards(source: SourceRig) -> SkeletonError:
     left, right = _names(source, "Foot")
     return SkeletonError(
         f"the feet {left} and {right} point backwards: left and right are exchanged, or the rig is mirrored by a "
-        "negative scale; a bone map that exchanges them reads it (--map)"
+        "negative scale; `motionkit retarget --rig FILE --save-map map.json` writes a map for it, to give as --map"
     )
 
 
@@ -273,5 +273,7 @@ def pose_notes(pose: RigPose) -> tuple[str, ...]:
         f"{name} {angle:.0f}" for name, angle in zip(JOINT_NAMES, apart.tolist(), strict=True) if angle > 5
     ]
     if turned:
-        notes.append(f"the rest pose differs, in degrees: {', '.join(turned)}")
+        notes.append(
+            f"the rest pose differs from motionkit's, which is handled; in degrees: {', '.join(turned)}"
+        )
     return tuple(notes)

@@ -52,7 +52,8 @@ class InMetres:
 def taken(motion: Motion) -> str:
     """What the unit and the up axis of a motion of any rig are taken to be, in words."""
     up = up_axis(motion_kinematics(motion)[1], motion.skeleton)
-    return f"unit: {motion_unit(motion)[1]}; {up_name(up)} up"
+    stays = "" if up[1] >= 1.0 else ", and stays so in BVH"
+    return f"unit: {motion_unit(motion)[1]}; {up_name(up)} up{stays}"
 
 
 def in_metres(motion: Motion) -> InMetres:

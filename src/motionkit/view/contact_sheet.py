@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from motionkit.arrays import spans
 from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write
+from motionkit.metrics.report import sliding_words
 from motionkit.motion.motion import Motion
 from motionkit.view.contact_sheet_geometry import (
     Figure,
@@ -37,6 +38,7 @@ TITLE_HEIGHT = 30
 FIGURE_HEIGHT = 240
 PLOT_HEIGHT = 240
 PATH_WIDTH = 380
+WORDS_APART = 40  # between the places of start and end that have a word each
 POSES_PER_ROW = 16
 MAX_POSES = 480  # stick figures per clip; more would make the picture too large
 OVERLAP = 1.6  # width of the widest pose as a share of its cell; neighbours are usually narrower
@@ -157,9 +159,8 @@ def contact_sheet(
     canvas = _Canvas(width, sum(heights) + MARGIN)
     top = float(MARGIN)
     for (title, motion), frames, height in zip(motions, shown, heights, strict=True):
-        _draw_block(
-            canvas, title, motion_figure(motion), frames, _Box(MARGIN, top, width - 2 * MARGIN, height)
-        )
+        box = _Box(MARGIN, top, width - 2 * MARGIN, height)
+        _draw_block(canvas, title, motion_figure(motion), sliding_words(motion), frames, box)
         top += height
     return canvas.finished()
 
@@ -191,7 +192,9 @@ def _block_height(poses: int) -> int:
     return TITLE_HEIGHT + _pose_rows(poses) * FIGURE_HEIGHT + PLOT_HEIGHT + 2 * MARGIN
 
 
-def _draw_block(canvas: _Canvas, title: str, figure: Figure, frames: list[int], box: _Box) -> None:
+def _draw_block(
+    canvas: _Canvas, title: str, figure: Figure, slides: str, frames: list[int], box: _Box
+) -> None:
     unit, cm = figure.unit()
     count = len(figure.positions)
     facts = f"{count} frames, {figure.fps:g} fps, {count / figure.fps:.1f} s, lengths in {unit}"
@@ -212,7 +215,8 @@ def _draw_block(canvas: _Canvas, title: str, figure: Figure, frames: list[int], 
     path_width = min(PATH_WIDTH, 0.4 * box.width)
     _draw_path(canvas, figure, frames, angle, cm, _Box(box.left, top, path_width, PLOT_HEIGHT))
     rest = _Box(box.left + path_width + 54, top, box.width - path_width - 60, PLOT_HEIGHT)
-    _draw_heights(canvas, figure, frames, unit, cm, rest)
+    _draw_heights(canvas, figure, frames, cm, rest)
+    canvas.text(rest.left + rest.width, top, slides, SLIDE_COLOR, size=11, anchor="ra")
 
 
 def _draw_legend(canvas: _Canvas, right: float, top: float, facts: str) -> None:
@@ -326,8 +330,10 @@ def _draw_path(
         canvas.dot(root[frame][0], root[frame][1], 2.0, INK)
     canvas.dot(root[0][0], root[0][1], 5.0, WHITE, ROOT_COLOR)
     canvas.dot(root[-1][0], root[-1][1], 5.0, ROOT_COLOR)
-    canvas.text(root[0][0] + 8, root[0][1] - 16, "start", ROOT_COLOR, size=11)
-    if len(root) > 1:
+    apart = len(root) > 1 and float(np.abs(root[-1] - root[0]).max()) > WORDS_APART
+    words = "start" if apart or len(root) == 1 else "start, end"
+    canvas.text(root[0][0] + 8, root[0][1] - 16, words, ROOT_COLOR, size=11)
+    if apart:
         canvas.text(root[-1][0] + 8, root[-1][1] + 4, "end", ROOT_COLOR, size=11)
     bar = _round_length(0.4 * (box.width - 40) / scale * cm) / cm
     words = f"{bar * cm / 100:g} m"
@@ -347,9 +353,7 @@ def _draw_footprints(
         )
 
 
-def _draw_heights(
-    canvas: _Canvas, figure: Figure, frames: list[int], unit: str, cm: float, box: _Box
-) -> None:
+def _draw_heights(canvas: _Canvas, figure: Figure, frames: list[int], cm: float, box: _Box) -> None:
     """Draw heights of feet and root over time, and mark frames in which a low foot slides."""
     named = [(side or "foot", foot) for side, foot in figure.feet.items()]
     curves = [(figure.root[:, 1] - figure.floor, ROOT_COLOR)]
@@ -403,5 +407,3 @@ def _draw_band(canvas: _Canvas, figure: Figure, foot: int, color: Color, x_of: A
         for start, end in spans(mask):
             left, right = x_of(float(start)), x_of(float(end - 1))
             canvas.box(_Box(left, y, max(right - left, 1.0), 7), fill=shade)
-    share = 100.0 * slides.sum() / max(int(low.sum()), 1)
-    canvas.text(x_of(0.0) - 6, y + 3, f"slides {share:.0f}%", SLIDE_COLOR, size=10, anchor="rm")
