@@ -22,8 +22,9 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = {
     "metrics": ("metrics/*.py", ["tests/metrics"]),
     "files": ("files.py", ["tests/test_files.py"]),
-    "editing": ("editing/*.py", ["tests/editing"]),
-    "export": ("export/[!o]*.py", ["tests/export/test_formats.py"]),  # the graph's own tests take minutes
+    "editing": ("editing/*.py", ["tests/editing", "tests/cli/test_trim.py"]),
+    # The tests of graphs and pages take minutes.
+    "export": ("export/[!op]*.py", ["tests/export/test_golden.py", "tests/export/test_formats.py"]),
 }
 PATIENCE = 900.0  # s; a mutant that runs for longer is seen
 SWAPS: dict[type, type] = {

@@ -20,10 +20,10 @@ GB = 10**9
 def test_what_would_fit_is_said_and_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(free_memory, "free_memory", lambda: GB)
     with pytest.raises(
-        MotionkitError, match=r"432,000 frames of 50 joints take about 11 GB .* at most 333 s at 120"
+        MotionkitError, match=r"432,000 frames of 50 joints take about 8.6 GB .* at most 416 s at 120"
     ):
         free_memory.check_memory(432_000, 50, 120.0)
-    free_memory.check_memory(333 * 120, 50, 120.0)
+    free_memory.check_memory(416 * 120, 50, 120.0)
 
 
 @pytest.mark.parametrize("work", [

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from motionkit.errors import MotionkitError
 
-# Most that a command takes for a frame of a joint, in bytes; reading BVH text takes as much as writing any format.
-BYTES_OF_JOINT = 500
+# Most that a command takes for a frame of a joint of each clip, in bytes: retargeting.
+BYTES_OF_JOINT = 400
 # Of control groups, as containers have them, version 2 and 1: limit and use.
 _GROUPS = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
@@ -28,7 +28,7 @@ def check_memory(frames: int, joints: int, fps: float) -> None:
     if needed > free:
         raise MotionkitError(
             f"{frames:,} frames of {joints} joints take about {needed / 1e9:.2g} GB of memory, {free / 1e9:.2g} are "
-            f"free; expected at most {free / (joints * BYTES_OF_JOINT * fps):.0f} s at {fps:g} fps: cut it into parts"
+            f"free; expected at most {free // (joints * BYTES_OF_JOINT * fps):.0f} s at {fps:g} fps: cut it into parts"
         )
 
 

@@ -32,6 +32,12 @@ def test_a_run_folder_that_cannot_be_made(motionkit, dataset_folder: Path, tmp_p
     assert said.code == 1 and "m.run: cannot be written (File exists)" in said.err
 
 
+def test_a_model_has_an_ending(motionkit, dataset_folder: Path, tmp_path: Path) -> None:
+    said = motionkit("train", dataset_folder, "-o", "mod2", *QUICK, "--steps", 1)
+    assert said.code == 2 and "-o mod2: expected a name that ends in .safetensors" in said.err
+    assert not list(tmp_path.iterdir())
+
+
 def test_clips_that_are_all_held_out(motionkit, clips_folder: Path, tmp_path: Path) -> None:
     shutil.copytree(clips_folder, tmp_path / "mine")
     table = tmp_path / "mine" / "labels.csv"

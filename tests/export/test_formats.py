@@ -17,7 +17,7 @@ import pytest
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.export.clip import Clip
 from motionkit.export.figure import Figure, make_figure, skin_weights
-from motionkit.export.formats import WRITERS, read_motion, write_motion
+from motionkit.export.formats import WRITERS, check_ending, read_motion, write_motion
 from motionkit.export.usda import joint_paths
 from motionkit.export.vrma import BONES, humanoid_motion
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
@@ -430,6 +430,14 @@ def test_rest_poses_with_rotations_are_straightened(walk: Motion, tmp_path: Path
     assert np.stack([turned[..., 0], turned[..., 2], -turned[..., 1]], -1) == pytest.approx(
         np.stack([at[..., 0], at[..., 1], at[..., 2]], -1), abs=1e-2
     )
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_only_fbx_asks_for_another_program(ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr("motionkit.rig.fbx.check_writes", asked.append)
+    check_ending(f"a{ending}")
+    assert asked == ["a.fbx"] * (ending == ".fbx")
 
 
 @pytest.mark.parametrize("name", ["a.gltf", "a.txt", "a", "a.usd", "a.vrm"])

@@ -1,14 +1,16 @@
 """Long use: clients join, send valid and invalid requests and vanish, while memory must not grow.
 
-MOTIONKIT_SOAK_SECONDS=600 python -m pytest tests/apps/play/test_soak.py -m slow -s
+MOTIONKIT_SOAK_SECONDS=600 python -m pytest tests/play/test_soak.py -m slow -s
 """
 
 from __future__ import annotations
 
 import asyncio
+import faulthandler
 import json
 import os
 import random
+import signal
 import statistics
 import subprocess
 import sys
@@ -269,4 +271,7 @@ def test_a_short_soak(server: tuple[dict[str, Any], int]) -> None:
 @pytest.mark.parametrize("server", ["bundled"], indirect=True)
 def test_a_long_soak_without_growth_of_memory(server: tuple[dict[str, Any], int]) -> None:
     seconds = float(os.environ.get("MOTIONKIT_SOAK_SECONDS", "600"))
+    # Other limits than those of tests that take up to 15 minutes.
+    faulthandler.cancel_dump_traceback_later()
+    signal.alarm(round(seconds) + 600)
     run(*server, seconds, most_growth=8.0)

@@ -358,10 +358,14 @@ def _depth(parents: list[int], joint: int) -> int:
     return 0 if joint < 0 else 1 + _depth(parents, parents[joint])
 
 
-def test_bones_without_length_are_refused() -> None:
+@pytest.mark.parametrize(("joint", "size"), [("Spine", 0.0), ("LeftForeArm", 1e6)])
+def test_bones_without_length_are_refused(joint: str, size: float) -> None:
+    """All of them, or those beside one bone that is far too long."""
     source = walk()
-    flat = replace(source, skeleton=source.skeleton.scaled(0.0))
-    with pytest.raises(SkeletonError, match="of zero length"):
+    offsets = source.skeleton.offsets * bool(size)
+    offsets[source.skeleton.names.index(joint)] *= size
+    flat = replace(source, skeleton=replace(source.skeleton, offsets=offsets, end_sites={}))
+    with pytest.raises(SkeletonError, match="of zero length or less than a hundredth of that of"):
         retarget(motion_to_bvh(flat))
 
 

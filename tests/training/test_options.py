@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import fields
 
 import pytest
@@ -57,6 +58,25 @@ def test_stages_are_plain_values_in_a_checkpoint() -> None:
 def test_an_unknown_option_of_a_stage() -> None:
     with pytest.raises(TypeError, match="speed"):
         TrainOptions(steps=1, stages=(Stage(0.0, {"speed": 1.0}),)).at(0.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "changes", "splices"),
+    [
+        (train_options, {"steps": 9}, 2000),
+        (train_options, {"steps": 9, "minutes": 0.1}, 2000),
+        (train_options, {"minutes": 60.0}, 2000),
+        (train_options, {"minutes": 3.0}, 200),
+        (train_options, {"minutes": 3.0, "splices": 7}, 7),
+        (fine_tune_options, {"minutes": 5.0}, 400),
+        (fine_tune_options, {"minutes": 0.2}, 16),
+        (fine_tune_options, {"minutes": 0.2, "splices": 7}, 7),
+    ],
+)
+def test_short_runs_make_fewer_splices(
+    make: Callable[..., TrainOptions], changes: dict, splices: int
+) -> None:
+    assert make("tptn", **changes).sampler.splices == splices
 
 
 def test_every_option_has_one_name() -> None:

@@ -144,6 +144,24 @@ def finished_run(dataset_folder: Path, tmp_path_factory: pytest.TempPathFactory,
     return folder / "m.run"
 
 
+def test_a_resumed_run_keeps_its_splices(
+    dataset_folder, tmp_path: Path, finished_run: Path, tiny_options
+) -> None:
+    shutil.copytree(finished_run, tmp_path / "m.run")
+    for steps in (2, 3):
+        said: list[str] = []
+        options = tiny_options(steps=steps, splices=5)
+        train(
+            dataset_folder,
+            tmp_path / "m.safetensors",
+            options,
+            True,
+            device="cpu",
+            on_event=lambda event: said.append(event.text),  # noqa: B023
+        )
+        assert "0 spliced transitions" in said
+
+
 def _first(tensors: dict[str, torch.Tensor], prefix: str) -> str:
     return min(name for name in tensors if name.startswith(prefix))
 

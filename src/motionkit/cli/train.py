@@ -101,6 +101,8 @@ class Run:
     def check(self, inputs: list[str | Path | None]) -> None:
         """Refuse, before any work, to overwrite an input, or an earlier run unless it is resumed or discarded."""
         check_preview(self.preview)
+        if self.output.suffix.lower() != ".safetensors":
+            raise click.UsageError(f"-o {self.output}: expected a name that ends in .safetensors")
         check_outputs([self.output, *([self.preview] if self.preview else [])], inputs)
         if self.resume or self.force:
             return
@@ -188,7 +190,7 @@ class Run:
 @click.option(
     "--splices",
     type=click.IntRange(0, 100_000),
-    help="Number of spliced transitions to make; the preset's by default (2000; tptn-paper 0).",
+    help="Number of spliced transitions to make; the preset's by default (2000, fewer in short runs; tptn-paper 0).",
 )
 @click.option(
     "--run-folder",

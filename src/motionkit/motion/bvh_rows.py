@@ -17,6 +17,7 @@ from motionkit.reading import strictly
 MAX_NUMBER = 1e7
 MOST_UNKNOWN = 0.5  # share of all values that may be no numbers
 SCALED = 0.01  # deviation from 1 above which scale channels that are left out are said to matter
+_AT_ONCE = 1000  # rows whose words are counted at a time, which takes 20 times the memory of their text
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 # As C libraries write values that are no numbers: nan, -nan(ind), -1.#IND00, 1.#QNAN.
 _NO_NUMBER = re.compile(r"[-+]?(?:nan(?:\(\w*\))?|1[.,]#(?:ind|qnan|snan|inf)\d*)", re.IGNORECASE)
@@ -174,14 +175,16 @@ def filled(values: NDArray[np.float64], channels: list[str], notes: Notes) -> ND
 
 def _words_per_line(lines: list[str], rows: list[int]) -> NDArray[np.int64]:
     """Number of words in each row, counted in bytes, which is far faster than splitting every line."""
-    if not rows:
-        return np.zeros(0, np.int64)
-    block = "\n".join(lines[i] for i in rows).encode("utf-8", "replace")
-    data = np.frombuffer(b"\n" + block, dtype=np.uint8)
-    space = data <= 32
-    starts = space[:-1] & ~space[1:]
-    line_of = np.cumsum(data[:-1] == 10) - 1
-    return np.bincount(line_of[starts], minlength=len(rows))
+    counts = [np.zeros(0, np.int64)]
+    for begin in range(0, len(rows), _AT_ONCE):
+        some = rows[begin : begin + _AT_ONCE]
+        block = "\n".join(lines[i] for i in some).encode("utf-8", "replace")
+        data = np.frombuffer(b"\n" + block, dtype=np.uint8)
+        space = data <= 32
+        starts = space[:-1] & ~space[1:]
+        line_of = np.cumsum(data[:-1] == 10) - 1
+        counts.append(np.bincount(line_of[starts], minlength=len(some)))
+    return np.concatenate(counts)
 
 
 def _parse_values(lines: list[str], rows: list[int], notes: Notes) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ from motionkit.rig.rest_pose import (
     SIDES,
     SourceRig,
     body_frame,
+    longest_bone,
     named_end,
     posed_differences,
     rest_differences,
@@ -65,8 +66,10 @@ class RigPose:
             for part in ("UpLeg", "Leg"):
                 bone = self.source.bone(f"{side}{part}")
                 if bone is None:
+                    name, longest = longest_bone(self.source.skeleton)
                     raise SkeletonError(
-                        f"{side}{part} is a bone of zero length, so the scale cannot be determined"
+                        f"{side}{part} is a bone of zero length or less than a hundredth of that of {name}, "
+                        f"{longest:.6g}, so the scale cannot be determined"
                     )
                 total += float(np.linalg.norm(bone[1]))
         return total / 2.0

@@ -172,7 +172,13 @@ def _head_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
 
 def tiny_length(skeleton: Skeleton) -> float:
     """The length, in the skeleton's unit, below which a bone counts as zero."""
-    return 1e-2 * float(np.linalg.norm(skeleton.offsets[1:], axis=-1).max())
+    return 1e-2 * longest_bone(skeleton)[1]
+
+
+def longest_bone(skeleton: Skeleton) -> tuple[str, float]:
+    """The joint that is furthest from its parent, and how far, in the skeleton's unit."""
+    lengths = np.linalg.norm(skeleton.offsets[1:], axis=-1)
+    return skeleton.names[1 + int(lengths.argmax())], float(lengths.max())
 
 
 def frame_from(lateral: Array, up: Array) -> Array:

@@ -83,6 +83,8 @@ def train_options(
     """
     as_in_paper = preset(name).controls == "paper"
     wanted = {option: value for option, value in changes.items() if value is not None}
+    if not as_in_paper:
+        wanted = {"splices": _splices(SamplerOptions().splices, TRAIN_MINUTES, minutes, steps)} | wanted
     if budget is not None:
         if not as_in_paper:
             raise ModelError(f"budgets are for presets that train as the paper does, not for {name}")
@@ -111,4 +113,10 @@ def fine_tune_options(
         init: the model file, or "bundled".
     """
     given = {option: value for option, value in changes.items() if value is not None}
-    return train_options(name, steps, minutes, init=init, **(FINE_TUNE | given))
+    splices = _splices(FINE_TUNE["splices"], FINE_TUNE_MINUTES, minutes, steps)
+    return train_options(name, steps, minutes, init=init, **(FINE_TUNE | {"splices": splices} | given))
+
+
+def _splices(most: int, whole: float, minutes: float | None, steps: int | None) -> int:
+    """How many splices a run makes before it trains: fewer in runs of less than `whole` minutes."""
+    return most if minutes is None or steps is not None else round(most * min(1.0, minutes / whole))

@@ -19,7 +19,7 @@ from motionkit.models.file_check import TensorFacts, check_number, check_shapes,
 from motionkit.models.tensor_file import TensorFile, open_tensors
 from motionkit.training.learner import Learner
 from motionkit.training.optimizer import Muon
-from motionkit.training.options import TrainOptions, flat_options
+from motionkit.training.options import TrainOptions, flat_options, with_changes
 from motionkit.training.progress import Progress
 from motionkit.training.window_blocks import BlockStart
 
@@ -30,7 +30,8 @@ MOST_BYTES = 4 * 2**30
 MOST_STEPS = 10**12  # also the most seconds
 MOST_BLOCK = 1000  # most steps of a block
 # Options that a resumed run may change: its length and its outputs.
-FREE_ON_RESUME = ("steps", "minutes", "output.")
+# "sampler.splices" stays that of the beginning, as the number depends on the minutes.
+FREE_ON_RESUME = ("steps", "minutes", "output.", "sampler.splices")
 
 
 class Checkpoint:
@@ -84,7 +85,9 @@ class Checkpoint:
         if not path.is_file():
             raise DatasetError(f"{path}: no checkpoint to resume from")
         with _open_run(path) as (file, facts):
-            self._check_options(flat_options(facts["options"]))
+            before = flat_options(facts["options"])
+            self._check_options(before)
+            self.options = with_changes(self.options, {"splices": before["sampler.splices"]})
             try:
                 _check_fit(file.found, learner, "block" in facts)
                 tensors = {name: torch.from_numpy(array) for name, array in file.read_all().items()}

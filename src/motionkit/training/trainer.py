@@ -122,6 +122,7 @@ class TrainingRun:
     def resume(self) -> None:
         """Continue from the checkpoint. Raises DatasetError or ModelError if there is none or it does not fit."""
         self.blocks.start = self.checkpoint.load(self.learner, self.progress)
+        self.sampler.use(self.checkpoint.options.sampler)
 
     def go(self) -> TrainResult:
         """Train until the end or a signal, and write the model and the checkpoint."""
