@@ -77,7 +77,8 @@ def test_every_variant_runs(plan: Plan, each: Variant) -> None:
     assert all(
         value is not None for metric in ("bm-euler", "mpjpe", "ssim-channel") for value in everything[metric]
     )
-    assert result["sequences"] and set(result["distribution"]) == {"fid-pose", "diversity", "diversity-gt"}
+    sets = {"fid-pose", "diversity", "diversity-gt", "class-accuracy", "fid-class"}
+    assert result["sequences"] and set(result["distribution"]) == sets
     if each.preset:
         assert result["budget"]["steps"] == 20 and result["parameters"] > 0 and len(result["curve"]) == 4
     assert ("derivatives" in result) == ("held-out" in result) == ("by-mean" in result) == bool(each.preset)

@@ -281,18 +281,25 @@ def _parameters(v: Variant, results: Results) -> str:
     return ours if v.paper_parameters is None else f"{ours} ({v.paper_parameters:g})"
 
 
+# Titles of columns of sets of motions, and the fields of "distribution" that they show.
+OF_SETS = (
+    ("Frechet distance (fid-pose)", "fid-pose", 2),
+    ("diversity", "diversity", 2),
+    ("accuracy of a classifier (class-accuracy)", "class-accuracy", 3),
+    ("Frechet distance of its features (fid-class)", "fid-class", 2),
+)
+
+
 def _distribution(title: str, variants: Sequence[Variant], by_name: dict[str, list[dict[str, Any]]]) -> Table:
     rows = []
     for v in variants:
-        values = {
-            k: figure([r["distribution"][k] for r in by_name[v.name] if r["distribution"][k] is not None])
-            for k in ("fid-pose", "diversity")
-        }
-        rows.append((v.name, _cell(values["fid-pose"], 2), _cell(values["diversity"], 2)))
+        found = [[r["distribution"].get(field) for r in by_name[v.name]] for _, field, _ in OF_SETS]
+        figures = [figure([value for value in values if value is not None]) for values in found]
+        rows.append((v.name, *(_cell(each, of[2]) for each, of in zip(figures, OF_SETS, strict=True))))
     spread = by_name[variants[0].name][0]["distribution"]["diversity-gt"]
     recorded = figure([] if spread is None else [spread])
-    rows.insert(0, ("recorded", "0.00", _cell(recorded, 2)))
-    return Table(title, ("", "Frechet distance (fid-pose)", "diversity"), tuple(rows))
+    rows.insert(0, ("recorded", "0.00", _cell(recorded, 2), "-", "0.00"))
+    return Table(title, ("", *(name for name, _, _ in OF_SETS)), tuple(rows))
 
 
 # Titles of columns, the fields of "held-out" that they show, and digits after the point.

@@ -28,7 +28,7 @@ from motionkit.tables import Table
 from motionkit.training.verdict.extents import SPREAD, what_is_off
 from motionkit.training.verdict.judge import GRACE, LIVELY, Judge
 from motionkit.training.verdict.real import PROFILE_SECONDS, SHORTEST, RealMotion
-from motionkit.training.verdict.rolling import Take, commanded_plans, grouped, roll_paths, roll_plans
+from motionkit.training.verdict.rolling import commanded_plans, grouped, roll_paths, roll_plans
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,10 @@ def quick_verdicts(
     paths = _path_distances(model, kinds, settings, lambda share: report(0.6 + 0.3 * share))
     verdicts = {}
     for kind, mine in zip(kinds, grouped(takes, settings.seeds), strict=True):
-        verdicts[kind] = _verdict(model, judge, kind, mine, paths.get(kind))
+        bodies = [take.default.cut(round(NEUTRAL_SECONDS * model.fps), len(take.default)) for take in mine]
+        gait = model.types[kind].gait
+        target = RUNS_WITHIN if gait is not None and gait.runs else WALKS_WITHIN
+        verdicts[kind] = verdict_on(judge, kind, bodies, paths.get(kind), target)
         report(0.9 + 0.1 * len(verdicts) / len(kinds))
     real = judge.real
     return [verdicts.get(kind) or _unlearnt(real, kind) for kind in model.types if kind in real.types]
@@ -202,18 +205,20 @@ def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings, trainin
     return "\n".join(lines) + "\n"
 
 
-def _verdict(
-    model: MotionModel, judge: Judge, kind: str, takes: Sequence[Take], path: float | None
+def verdict_on(
+    judge: Judge,
+    kind: str,
+    bodies: Sequence[Body],
+    path: float | None = None,
+    path_target: float = WALKS_WITHIN,
 ) -> TypeVerdict:
-    skip = round(NEUTRAL_SECONDS * model.fps)
-    bodies = [take.default.cut(skip, len(take.default)) for take in takes]
+    """Judge what was made of a type, each from the command on, by the recordings of the type."""
     found = judge.real.of_type(kind, "train")
     profile = judge.real.profile(kind)
     assert profile is not None
     late = [body.cut(round(GRACE * body.fps), len(body)) for body in bodies]
     nearest = [judge.nearest_part(kind, body) for body in bodies]
     recorded = np.average([_sliding(s.body) for s in found], weights=[len(s.body) for s in found])
-    gait = model.types[kind].gait
     verdict = TypeVerdict(
         kind,
         len({stretch.clip for stretch in found}),
@@ -222,7 +227,7 @@ def _verdict(
         len(bodies),
         sum(body.joint_speed() for body in nearest) / len(nearest) / max(profile.joint_speed, 1e-6),
         path,
-        RUNS_WITHIN if gait is not None and gait.runs else WALKS_WITHIN,
+        path_target,
         float(np.mean([_sliding(body) for body in late]) / max(recorded, 0.02)),
     )
     return replace(verdict, reasons=reasons_of(verdict, judge, nearest))
