@@ -49,7 +49,7 @@ def windows_of(motions: Iterable[Motion], size: int, step: int) -> Windows:
     Raises:
         MotionkitError: no motion is longer than a window, or they have other joints.
     """
-    rotations, roots, skeletons = [], [], []
+    rotations, roots, skeletons = [], [], list[Skeleton]()
     for motion in motions:
         if skeletons and not motion.skeleton.same_hierarchy(skeletons[0]):
             raise MotionkitError("the motions have different joints; the protocol needs one skeleton")
@@ -89,8 +89,9 @@ def interpolated(windows: Windows, gap: int) -> Windows:
     share = np.linspace(0.0, 1.0, gap + 2)[1:-1, None]
     roots = first.roots + share * (goal.roots - first.roots)
     shape = (len(roots), gap, *first.rotations.shape[2:])
-    ends = (np.broadcast_to(each.rotations, shape) for each in (first, goal))
-    return replace(windows, rotations=quat_slerp(*ends, np.broadcast_to(share, shape[:-1])), roots=roots)
+    before, after = (np.broadcast_to(each.rotations, shape) for each in (first, goal))
+    turns = quat_slerp(before, after, np.broadcast_to(share, shape[:-1]))
+    return replace(windows, rotations=turns, roots=roots)
 
 
 @dataclass(frozen=True, eq=False)
