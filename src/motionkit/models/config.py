@@ -100,9 +100,7 @@ class Variant:
     position: str = "bias"  # "bias": learned per head and offset, can stream; "sinusoidal": the paper's
     norm: str = "pre"  # "pre" or "post" (Vaswani et al. 2017)
     fusion: str = "linear"  # "linear" (paper), "none", or "cross-attention" (the paper's ablation)
-    backbone: str = (
-        "attention"  # or "non-local" or one of RECURRENT, the paper's ablations (models/backbones.py)
-    )
+    backbone: str = "attention"  # or "non-local" or one of RECURRENT (models/backbones.py)
 
     @property
     def recurrent(self) -> bool:

@@ -385,8 +385,9 @@ def budget_lines(results: Results) -> list[str]:
     for folder in protocol_folders(results):
         here = in_folder(results, folder)
         trained = [r for r in here if "budget" in r]
-        selection = SELECTIONS[here[0]["data"]]
-        line = f"**{_named(folder)}**: {selection.text}; {counted(len(here), 'result')}."
+        known = SELECTIONS.get(here[0]["data"])
+        text = known.text if known else "a data set of its own"
+        line = f"**{_named(folder)}**: {text}; {counted(len(here), 'result')}."
         if trained:
             b = trained[0]["budget"]
             seconds = sorted(r["timing"]["seconds"] for r in trained)
