@@ -73,7 +73,7 @@ def test_every_variant_runs(plan: Plan, each: Variant) -> None:
     result = run(plan, each)
     assert result["name"] == each.name and result["group"] in GROUPS
     everything = result["groups"]["all"]
-    assert {*METRICS, "bm-upper", "bm-lower", "l2p", "l2q", "npss"} == set(everything)
+    assert {*METRICS, "bm-upper", "bm-lower", "class-accuracy", "l2p", "l2q", "npss"} == set(everything)
     assert all(
         value is not None for metric in ("bm-euler", "mpjpe", "ssim-channel") for value in everything[metric]
     )

@@ -91,7 +91,9 @@ def measure(
     for number, sequence in enumerate(sequences):
         features = continues(sequence, number)
         motion, truth = decoded(dataset, sequence, features), truth_of(dataset, sequence)
+        windows = described(body_of(motion)), described(body_of(truth))
         values = _values(motion, truth)
+        values["class-accuracy"] = [_taken_for(dataset, sequence.kind, each) for each in windows]
         rows.append(
             {
                 "sequence": sequence.clip.name,
@@ -104,8 +106,8 @@ def measure(
         recorded = sequence.data.features[sequence.initial : sequence.initial + sequence.frames]
         made_windows.append(window_features(features, dataset.pose_embedding))
         true_windows.append(window_features(recorded, dataset.pose_embedding))
-        by_type.setdefault(sequence.kind, []).append(described(body_of(motion)))
-        true_classes.append(described(body_of(truth)))
+        by_type.setdefault(sequence.kind, []).append(windows[0])
+        true_classes.append(windows[1])
         progress((number + 1) / len(sequences))
     together, truths = np.concatenate(made_windows), np.concatenate(true_windows)
     groups: dict[str, object] = {
@@ -127,6 +129,11 @@ def measure(
             lambda name=name: classified(_classifier(dataset), by_type, true_classes)[name]
         )
     return {"groups": groups, "distribution": distribution, "sequences": rows}
+
+
+def _taken_for(dataset: Dataset, kind: str, windows: Array) -> float | None:
+    """The share of windows that the dataset's classifier takes for a type; None without one, or without windows."""
+    return _of_sets(lambda: classified(_classifier(dataset), {kind: [windows]}, [])["class-accuracy"])
 
 
 @lru_cache(1)
