@@ -47,7 +47,7 @@ def select(folder: Path, name: str) -> Dataset:
     train, test = (SELECTIONS.get(name) or own_selection(folder, name)).choose(dataset)
     if not train or not test:
         wanted = f"expected the types {', '.join(PAPER_TYPES)}" if name in SELECTIONS else "see its file"
-        raise DatasetError(f"{folder}: no clips to train or to test for the data set {name}: {wanted}")
+        raise DatasetError(f"{folder}: no clips for the data set {name}: {wanted}")
     dataset.clips = tuple(
         [replace(c, split="train") for c in train] + [replace(c, split="test") for c in test]
     )
