@@ -73,7 +73,7 @@ SPOILT: dict[str, Callable[[Body, object], Body]] = {
 
 
 def after_a_command(body: Body) -> Body:
-    """The body as the judge expects it: the first GRACE seconds do not count."""
+    """The body as the judge expects it, which leaves out the first GRACE seconds."""
     first = round(GRACE * body.fps)
     parts = (
         np.concatenate([np.repeat(x[:1], first, axis=0), x[: round(LONGEST * body.fps)]])
@@ -112,7 +112,11 @@ def recorded_cases(dataset: Dataset) -> Iterator[tuple[int, str, TypeVerdict]]:
                 yield fold, "recordings of the type", verdict_on(judge, kind, bodies)
             for name, spoil in SPOILT.items() if mine else ():
                 made = [spoil(s.body, dataset.skeleton(dataset.clips[s.clip])) for s in mine]
-                yield fold, name, verdict_on(judge, kind, [after_a_command(body) for body in made])
+                yield (
+                    fold,
+                    name,
+                    verdict_on(judge, kind, [after_a_command(body) for body in made]),
+                )
             others = [other for other in by_type if other != kind and by_type[other]]
             for other in random.choice(others, OTHERS, replace=False):
                 bodies = [after_a_command(s.body) for s in by_type[other][:OTHERS]]
@@ -150,7 +154,12 @@ def main() -> None:
     table: dict[str, Counter] = defaultdict(Counter)
     for fold, what, verdict in cases:
         if fold >= FOLDS // 2:
-            for group in (what.partition(":")[0], "all"):
+            several = verdict.rollouts > 1
+            for group in (
+                what.partition(":")[0],
+                "all",
+                *(["all of two or more recordings"] if several else []),
+            ):
                 table[group]["works" if verdict.works else "fails"] += 1
                 table[group]["right"] += verdict.works == (what in WORKS)
     rows = [

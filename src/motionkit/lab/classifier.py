@@ -142,9 +142,8 @@ def classified(
     empty = np.zeros((0, WIDTH), np.float32)
 
     def distance() -> MetricValue:
-        return frechet_distance(
-            *(np.concatenate(each or [empty]) for each in (together, recorded)), "fid-class"
-        )
+        mine, theirs = (np.concatenate(each or [empty]) for each in (together, recorded))
+        return frechet_distance(mine, theirs, "fid-class")
 
     values = [
         MetricValue(

@@ -124,10 +124,11 @@ def measure(
         "diversity": _of_sets(lambda: diversity(together)),
         "diversity-gt": _of_sets(lambda: diversity(truths)),
     }
-    for name in ("class-accuracy", "fid-class"):
-        distribution[name] = _of_sets(
-            lambda name=name: classified(_classifier(dataset), by_type, true_classes)[name]
-        )
+
+    def of_classes(name: str) -> float | None:
+        return _of_sets(lambda: classified(_classifier(dataset), by_type, true_classes)[name])
+
+    distribution |= {name: of_classes(name) for name in ("class-accuracy", "fid-class")}
     return {"groups": groups, "distribution": distribution, "sequences": rows}
 
 
