@@ -20,6 +20,8 @@ ALONE = [
     "afs-ground",
     "skate-ratio",
     "jerk",
+    "jerk-peak",
+    "jerk-area",
     "penetration-mean",
     "penetration-max",
     "leaps",
@@ -74,7 +76,8 @@ def test_a_pair_turned_together_does_not_change() -> None:
     here = evaluate_motion(a, b)
     there = evaluate_motion(*(placed(m, yaw=-2.0, move=(9.0, 0.0, 7.0)) for m in (a, b)))
     for name in PAIR_METRICS:
-        assert there.value(name) == pytest.approx(here.value(name), abs=1e-3), name
+        least = 1.0 / here.frames if name.startswith("location-") else 1e-3  # a frame may be at the limit
+        assert there.value(name) == pytest.approx(here.value(name), abs=least), name
 
 
 def test_a_path_beside_the_other_is_that_far_away(motion: Motion) -> None:

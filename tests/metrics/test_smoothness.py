@@ -7,7 +7,7 @@ import pytest
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.metrics.smoothness import mean_jerk, positions_at_rate
+from motionkit.metrics.smoothness import jerk_extremes, mean_jerk, positions_at_rate
 
 
 def polynomial(fps: float, power: int, seconds: float = 2.0) -> Array:
@@ -46,6 +46,15 @@ def test_trembling_raises_it() -> None:
     smooth = polynomial(60.0, 3)
     noise = 0.1 * np.random.default_rng(0).standard_normal(smooth.shape, np.float64)
     assert mean_jerk(smooth + noise).value > 50 * mean_jerk(smooth).value
+
+
+@pytest.mark.parametrize(("scale", "away"), [(1.0, 0.0), (2.0, 6.0), (0.5, 3.0)])
+def test_the_area_is_how_far_a_constant_jerk_is_from_the_usual_one(scale: float, away: float) -> None:
+    """Of the joint that jerks most: the other one falls."""
+    usual = np.concatenate([polynomial(60.0, 3), polynomial(60.0, 2)], axis=1)
+    peak, area = jerk_extremes(scale * usual, 60.0, usual, 60.0)
+    assert peak.value == pytest.approx(6.0 * scale, rel=1e-6)
+    assert area.value == pytest.approx(away * (len(usual) - 3) / 60.0, rel=1e-5, abs=1e-5)
 
 
 def test_three_frames_are_refused() -> None:

@@ -9,7 +9,7 @@ import pytest
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics import trajectory as module
-from motionkit.metrics.trajectory import distance_to_path, ground_track, trajectory_distance
+from motionkit.metrics.trajectory import distance_to_path, ground_track, location_errors, trajectory_distance
 
 
 def line(points: int, length: float = 500.0, sideways: float = 0.0) -> Array:
@@ -26,6 +26,26 @@ def test_a_path_moved_sideways_is_that_far_away() -> None:
     result = trajectory_distance(line(100, sideways=7.0), line(100))
     assert (result.mean, result.max, result.coverage) == pytest.approx((7.0, 7.0, 1.0))
     assert [value.id for value in result.values()] == ["path-mean", "path-max", "path-coverage"]
+
+
+@pytest.mark.parametrize(
+    ("away", "values"),
+    [
+        ([0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0]),
+        ([20.0, 10.0, 0.0, 10.0], [10.0, 0.0, 0.0, 0.0, 0.0]),
+        ([0.0, 30.0, 50.0, 0.0], [20.0, 0.5, 0.0, 1.0, 0.0]),
+        ([0.0, 0.0, 0.0, 60.0], [15.0, 0.25, 0.25, 1.0, 1.0]),
+    ],
+)
+def test_places_are_missed_by_frames_and_trajectories_by_any_frame(away: list, values: list) -> None:
+    wanted = line(4)
+    found = location_errors(wanted + np.stack([away, np.zeros(4)], axis=-1), wanted)
+    assert [each.id for each in found] == [
+        "location-mean", "location-20", "location-50", "trajectory-20", "trajectory-50",
+    ]  # fmt: skip
+    assert [each.value for each in found] == pytest.approx(values)
+    with pytest.raises(MotionkitError, match="one length"):
+        location_errors(wanted, wanted[1:])
 
 
 def test_distance_is_to_segments_so_sampling_does_not_matter() -> None:

@@ -88,6 +88,7 @@ def command(model: str, dataset: Path, **options: Any) -> None:
     response        seconds from a command to the response
     smoothness      joints and braking in transitions that no clip contains
     types           whether each type works, and why not; only with --quick or --only
+    classes         what a classifier of the types takes the motion for; only with --only
 
     Motion is measured as users get it by default, with feet locked; other columns have the raw network and the model
     without its reference recordings. docs/evaluation.md defines every number. The exit code is 0 whether or not the

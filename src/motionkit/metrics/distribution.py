@@ -7,6 +7,8 @@ which does not exist for this skeleton. So values are comparable only among them
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from motionkit.arrays import Array
@@ -16,6 +18,7 @@ from motionkit.metrics.value import MetricValue, need
 
 WINDOW, STRIDE = 60, 10  # frames
 WINDOW_VALUES = 2 * EMBEDDING_COUNT
+TYPE_PAIRS = 20  # random pairs of motions of each type for the multimodality (Guo et al. 2020)
 PAIRS = 300  # random pairs of windows for the diversity (Guo et al. 2020)
 
 
@@ -31,8 +34,8 @@ def window_features(features: Array, embedding: PoseEmbedding) -> Array:
     return np.stack([np.concatenate([window.mean(axis=0), window.std(axis=0)]) for window in windows])
 
 
-def frechet_distance(made: Array, real: Array) -> MetricValue:
-    """Frechet distance between Gaussians fitted to two sets of windows (N, D), id "fid-pose" (Heusel et al. 2017).
+def frechet_distance(made: Array, real: Array, name: str = "fid-pose") -> MetricValue:
+    """Frechet distance between Gaussians fitted to two sets of windows (N, D), with the id `name` (Heusel et al. 2017).
 
     |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)). The trace of (C1 C2)^(1/2) is computed from the eigenvalues of
     C1^(1/2) C2 C1^(1/2), which is symmetric.
@@ -50,7 +53,7 @@ def frechet_distance(made: Array, real: Array) -> MetricValue:
     cross = float(np.sqrt(np.maximum(inner, 0.0)).sum())
     distance = float(means @ means + np.trace(first) + np.trace(second) - 2.0 * cross)
     return MetricValue(
-        "fid-pose", max(distance, 0.0), "", {"window": float(WINDOW), "values": float(made.shape[1])}
+        name, max(distance, 0.0), "", {"window": float(WINDOW), "values": float(made.shape[1])}
     )
 
 
@@ -66,3 +69,23 @@ def diversity(windows: Array, seed: int = 0) -> MetricValue:
     second = (first + random.integers(1, len(windows), size=PAIRS)) % len(windows)
     distance = np.linalg.norm(windows[first] - windows[second], axis=1).mean()
     return MetricValue("diversity", float(distance), "", {"window": float(WINDOW), "pairs": float(PAIRS)})
+
+
+def multimodality(motions: Sequence[Sequence[Array]], seed: int = 0) -> MetricValue:
+    """Mean distance of random windows of two motions of the same type, id "multimodality" (Guo et al. 2020).
+
+    Args:
+        motions: for each type its motions, each as windows (N, D); TYPE_PAIRS pairs are drawn of each type.
+
+    Raises:
+        MotionkitError: no type has two motions.
+    """
+    random = np.random.default_rng(seed)
+    several = [of_type for of_type in motions if len(of_type) > 1]
+    need(len(several), 1, "multimodality needs two motions of", "type")
+    distances = []
+    for of_type in several:
+        for _ in range(TYPE_PAIRS):
+            first, second = (of_type[i] for i in random.choice(len(of_type), 2, replace=False))
+            distances.append(np.linalg.norm(random.choice(first) - random.choice(second)))
+    return MetricValue("multimodality", float(np.mean(distances)), "", {"pairs": float(TYPE_PAIRS)})

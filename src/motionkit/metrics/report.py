@@ -23,7 +23,7 @@ from motionkit.metrics.prediction import (
     rotation_distance,
 )
 from motionkit.metrics.similarity import joint_expmaps, structural_similarity
-from motionkit.metrics.smoothness import mean_jerk
+from motionkit.metrics.smoothness import jerk_extremes, mean_jerk
 from motionkit.metrics.touch import (
     GROUPS,
     flight_acceleration,
@@ -31,7 +31,7 @@ from motionkit.metrics.touch import (
     lowest_points,
     planted_share,
 )
-from motionkit.metrics.trajectory import ground_track, trajectory_distance
+from motionkit.metrics.trajectory import ground_track, location_errors, trajectory_distance
 from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue, measured
 from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
@@ -49,10 +49,16 @@ PAIR_METRICS: dict[str, tuple[str, float]] = {
     "path-mean": ("cm/frame", 0.0),
     "path-max": ("cm", 0.0),
     "path-coverage": ("", 1.0),
+    "location-mean": ("cm", 0.0),
+    "location-20": ("", 0.0),
+    "location-50": ("", 0.0),
+    "trajectory-20": ("", 0.0),
+    "trajectory-50": ("", 0.0),
     "l2p": ("cm", 0.0),
     "l2q": ("", 0.0),
     "npss": ("", 0.0),
 }
+_LOCATIONS = ("location-mean", "location-20", "location-50", "trajectory-20", "trajectory-50")
 # Metrics whose ratio to the ground truth means nothing: heights, and an acceleration that has one right value.
 _WITHOUT_RATIO = frozenset(
     {"floor-height", "lowest-feet", "lowest-hands", "lowest-head", "lowest-body", "flight-acceleration"}
@@ -194,7 +200,7 @@ def evaluate_motion(
     floors = [_floor(each, settings) for each in cut]
     # One floor for both; otherwise a motion that is too low would be measured from its own lower floor.
     columns = [
-        [*_own_metrics(each, span, rate, floors[-1], settings), _floor_value(floor, settings)]
+        [*_own_metrics(each, span, spans[-1], rate, floors[-1], settings), _floor_value(floor, settings)]
         for each, span, floor in zip(cut, spans, floors, strict=True)
     ]
     if reference is None:
@@ -297,19 +303,18 @@ def sliding_words(motion: Motion) -> str:
 
 
 def _own_metrics(
-    motion: Motion, native: Motion, jerk_rate: float, floor: float, settings: MetricSettings
+    motion: Motion, native: Motion, usual: Motion, jerk_rate: float, floor: float, settings: MetricSettings
 ) -> list[MetricValue]:
     """The metrics of one motion above a floor height.
 
     Args:
         motion: at 60 fps.
         native: the same span at the file's own rate, for jerk.
+        usual: the ground truth at its own rate, whose jerk is usual.
     """
     positions = motion_kinematics(motion)[1].astype(np.float64)
     feet, ground = foot_positions(positions), floor - STANDING_TOE
-    native_positions = (
-        positions if native.fps == FRAME_RATE else motion_kinematics(native)[1].astype(np.float64)
-    )
+    own, recorded = (motion_kinematics(each)[1].astype(np.float64) for each in (native, usual))
     rotations = motion.local_rotations
     measures: list[tuple[Callable[[], MetricValue | tuple[MetricValue, ...]], dict[str, str]]] = [
         (lambda: body_movement(rotations, "euler"), {"bm-euler": "deg/frame"}),
@@ -317,7 +322,11 @@ def _own_metrics(
         (lambda: average_foot_sliding(feet, floor, settings), {"afs": "cm/frame"}),
         (lambda: sliding_over_ground(feet, settings), {"afs-ground": "cm/frame"}),
         (lambda: foot_skate_ratio(feet, floor, settings), {"skate-ratio": ""}),
-        (lambda: mean_jerk(native_positions, native.fps, jerk_rate), {"jerk": "m/s^3"}),
+        (lambda: mean_jerk(own, native.fps, jerk_rate), {"jerk": "m/s^3"}),
+        (
+            lambda: jerk_extremes(own, native.fps, recorded, usual.fps, jerk_rate),
+            {"jerk-peak": "m/s^3", "jerk-area": "m/s^2"},
+        ),
         (lambda: penetration(feet, floor), {"penetration-mean": "cm", "penetration-max": "cm"}),
         (lambda: leaps(positions), {"leaps": "1/min"}),
         (lambda: fastest_turn(rotations), {"turn-max": "deg/s"}),
@@ -341,6 +350,7 @@ def _pair_metrics(motion: Motion, reference: Motion, settings: MetricSettings) -
             lambda: trajectory_distance(track, path, settings.path_tolerance).values(),
             _units("path-mean", "path-max", "path-coverage"),
         ),
+        *measured(lambda: location_errors(track, path), _units(*_LOCATIONS)),
         *measured(lambda: position_distance(motion, reference), _units("l2p")),
         *measured(lambda: rotation_distance(motion, reference), _units("l2q")),
         *measured(lambda: power_spectrum_similarity(motion, reference), _units("npss")),

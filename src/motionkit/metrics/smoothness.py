@@ -43,8 +43,41 @@ def mean_jerk(global_positions: Array, fps: float = FRAME_RATE, rate: float = FR
     Raises:
         MotionkitError: there are fewer than four frames at that rate.
     """
+    lengths = _jerks(global_positions, fps, rate)
+    return MetricValue("jerk", float(lengths.mean()), "m/s^3", {"fps": rate})
+
+
+def jerk_extremes(
+    global_positions: Array, fps: float, usual: Array, usual_fps: float, rate: float = FRAME_RATE
+) -> tuple[MetricValue, MetricValue]:
+    """Peak jerk and area under the jerk (Barquero et al. 2024), ids "jerk-peak" in m/s^3 and "jerk-area" in m/s^2.
+
+    Both are of the joint that jerks most in each frame: its largest value, and how far it is from its mean in the usual
+    motion, summed over time.
+
+    Args:
+        global_positions, usual: (T, J, 3) in cm, of the motion and of a recorded one.
+        fps, usual_fps: frames per second of each.
+        rate: frame rate at which the derivatives are taken.
+
+    Raises:
+        MotionkitError: either has fewer than four frames at that rate.
+    """
+    most, level = (
+        _jerks(global_positions, fps, rate).max(axis=-1),
+        _jerks(usual, usual_fps, rate).max(axis=-1),
+    )
+    area = float(np.abs(most - level.mean()).sum() / rate)
+    return (
+        MetricValue("jerk-peak", float(most.max()), "m/s^3", {"fps": rate}),
+        MetricValue("jerk-area", area, "m/s^2", {"fps": rate}),
+    )
+
+
+def _jerks(global_positions: Array, fps: float, rate: float) -> Array:
+    """Lengths (T - 3, J) in m/s^3 of the third derivative of positions (T, J, 3) in cm."""
     positions = positions_at_rate(global_positions, fps, rate).astype(np.float64)
     if len(positions) < 4:
         raise MotionkitError(f"jerk needs at least 4 frames at {rate:g} fps, found {len(positions)}")
     third = np.diff(positions, n=3, axis=0) * rate**3 / 100.0
-    return MetricValue("jerk", float(np.linalg.norm(third, axis=-1).mean()), "m/s^3", {"fps": rate})
+    return np.asarray(np.linalg.norm(third, axis=-1))

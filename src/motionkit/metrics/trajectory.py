@@ -13,6 +13,7 @@ from motionkit.metrics.value import MetricSettings, MetricValue
 _BLOCK = 64  # path segments per bounding box
 _COVERAGE_STEP = 1.0  # cm between samples of the path
 _MOST_SAMPLES = 100_000  # samples of the path; on a path longer than a kilometre they are further apart
+FAILS_BEYOND = (20, 50)  # cm off a wanted place, from which on papers count it as missed
 _POINTS = 10_000  # points compared with a block at once
 
 
@@ -109,6 +110,28 @@ def trajectory_distance(
     distances = distance_to_path(track, path)
     covered = distance_to_path(_sampled(_checked(path, "path")), track) <= tolerance
     return TrajectoryDistance(distances, float(covered.astype(np.float64).mean()), tolerance)
+
+
+def location_errors(track: Array, wanted: Array) -> tuple[MetricValue, ...]:
+    """Errors of where the root (T, 2) is beside where it was to be (T, 2) in the same frame, both x, z in cm.
+
+    "location-mean" is their mean distance, "location-20" and "-50" the share of frames further away than 20 and 50 cm,
+    "trajectory-20" and "-50" are 1 if any frame is: over many pairs, their means are the shares of failed trajectories
+    (Karunratanakul et al. 2023; Xie et al. 2024).
+
+    Raises:
+        MotionkitError: the lengths differ.
+    """
+    track, wanted = _checked(track, "track"), _checked(wanted, "path")
+    if len(track) != len(wanted):
+        raise MotionkitError(f"expected tracks of one length, found {len(track)} and {len(wanted)} frames")
+    away = np.linalg.norm(track - wanted, axis=-1)
+    shares = {limit: float((away > limit).mean()) for limit in FAILS_BEYOND}
+    return (
+        MetricValue("location-mean", float(away.mean()), "cm"),
+        *(MetricValue(f"location-{limit}", share, "") for limit, share in shares.items()),
+        *(MetricValue(f"trajectory-{limit}", float(share > 0.0), "") for limit, share in shares.items()),
+    )
 
 
 def _sampled(path: Array) -> Array:

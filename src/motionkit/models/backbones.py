@@ -1,21 +1,23 @@
-"""Backbones that replace attention layers in two of the paper's ablations (table 8): non-local blocks and LSTMs.
+"""Backbones that replace attention in two of the paper's ablations (table 8): non-local blocks and recurrent layers.
 
 Shape legend: P parts, B batch, T frames, D width.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from motionkit.models.attention import LocalAttention
-from motionkit.models.config import NON_LOCAL_EVERY, RESIDUAL_KERNEL, ModelConfig
+from motionkit.models.config import NON_LOCAL_EVERY, RECURRENT, RESIDUAL_KERNEL, ModelConfig
 from motionkit.models.layers import PartLinear, PartNorm
 
-LSTM_LAYERS = 4
+RECURRENT_LAYERS = 4
 
-LstmState = list[tuple[Tensor, Tensor]]
+RecurrentState = list[Any]  # of each part, as its layers in torch.nn return it
 
 
 class NonLocalLayer(nn.Module):
@@ -46,30 +48,31 @@ class NonLocalLayer(nn.Module):
         return self.non_local_norm(self.non_local(F.relu(x), F.relu(x)))
 
 
-class LstmLayers(nn.Module):
-    """Four LSTM layers per part; their state passes from frame to frame."""
+class RecurrentLayers(nn.Module):
+    """Four recurrent layers per part; their state passes from frame to frame."""
 
     def __init__(self, parts: int, config: ModelConfig) -> None:
         super().__init__()
+        cells = getattr(nn, RECURRENT[config.variant.backbone])
         self.parts = nn.ModuleList(
-            nn.LSTM(config.width, config.width, LSTM_LAYERS, batch_first=True) for _ in range(parts)
+            cells(config.width, config.width, RECURRENT_LAYERS, batch_first=True) for _ in range(parts)
         )
 
     def forward(self, x_PBTD: Tensor, controls: Tensor) -> Tensor:
         return self.run(x_PBTD, None)[0]
 
-    def run(self, x_PBTD: Tensor, states: LstmState | None) -> tuple[Tensor, LstmState]:
+    def run(self, x_PBTD: Tensor, states: RecurrentState | None) -> tuple[Tensor, RecurrentState]:
         """Return features (P, B, T, D) and the states after the last frame."""
         made = [
-            lstm(x.to(lstm.weight_hh_l0.dtype), None if states is None else states[i])
-            for i, (lstm, x) in enumerate(zip(self.parts, x_PBTD, strict=True))
+            layers(x.to(layers.weight_hh_l0.dtype), None if states is None else states[i])
+            for i, (layers, x) in enumerate(zip(self.parts, x_PBTD, strict=True))
         ]
         return torch.stack([out for out, _ in made]), [state for _, state in made]
 
 
 def backbone_layers(parts: int, config: ModelConfig) -> list[nn.Module]:
     """Return the layers of one auto-regressive module whose backbone is not attention."""
-    if config.variant.backbone == "lstm":
-        return [LstmLayers(parts, config)]
+    if config.variant.recurrent:
+        return [RecurrentLayers(parts, config)]
     last = NON_LOCAL_EVERY - 1
     return [NonLocalLayer(parts, config, non_local=i % NON_LOCAL_EVERY == last) for i in range(config.layers)]

@@ -11,6 +11,8 @@ from motionkit.features.control import CONTROL_KINDS
 from motionkit.features.layout import DEFAULT_LAYOUT, LAYOUTS
 from motionkit.models.parts import PARTITIONS
 
+# Backbones that keep a state from frame to frame in place of a window, and their layers in torch.nn.
+RECURRENT = {"lstm": "LSTM"}
 # Allowed names and ranges of numbers in a config. Model files may come from untrusted sources, and sizes determine
 # memory and time. A window has at most 17 frames, because attention.py works in blocks of 16.
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -20,7 +22,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "position": ("bias", "sinusoidal"),
     "norm": ("pre", "post"),
     "fusion": ("linear", "none", "cross-attention"),
-    "backbone": ("attention", "non-local", "lstm"),
+    "backbone": ("attention", "non-local", *RECURRENT),
 }
 RANGES: dict[str, tuple[float, float]] = {
     "width": (2, 2048),
@@ -98,7 +100,12 @@ class Variant:
     position: str = "bias"  # "bias": learned per head and offset, can stream; "sinusoidal": the paper's
     norm: str = "pre"  # "pre" or "post" (Vaswani et al. 2017)
     fusion: str = "linear"  # "linear" (paper), "none", or "cross-attention" (the paper's ablation)
-    backbone: str = "attention"  # or "non-local" or "lstm", the paper's ablations (models/backbones.py)
+    backbone: str = "attention"  # or "non-local" or one of RECURRENT (models/backbones.py)
+
+    @property
+    def recurrent(self) -> bool:
+        """Whether the backbone keeps a state."""
+        return self.backbone in RECURRENT
 
 
 @dataclass(frozen=True)
@@ -162,7 +169,7 @@ class ModelConfig:
     def receptive_field(self) -> int:
         """Number of frames that influence a prediction: the paper's TRL, 87 by default.
 
-        All earlier frames influence an LSTM; it gets the number of attention.
+        All earlier frames influence a recurrent network; it gets the number of attention.
         """
         reach = self.window - 1
         steps = 2 * self.layers * reach

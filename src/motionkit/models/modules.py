@@ -104,7 +104,7 @@ class AutoRegressiveModule(nn.Module):
             x_PBTD = torch.cat([padded[:, :, i : i + T] for i in range(self.kernel)], dim=-1)
         motion = self.embed_motion(x_PBTD)
         controls = self.embed_controls.shared(controls_BTC)
-        if self.config.variant.position == "sinusoidal" and self.config.variant.backbone != "lstm":
+        if self.config.variant.position == "sinusoidal" and not self.config.variant.recurrent:
             positions = sinusoidal_positions(first + motion.shape[2], motion.shape[3], motion.device)
             motion = motion + positions[first:]
         motion = spatial_dropout(motion, self.config.dropout.spatial_dropout, self.training)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.models.attention import LocalAttention
-from motionkit.models.backbones import LstmLayers, LstmState
+from motionkit.models.backbones import RecurrentLayers, RecurrentState
 from motionkit.models.config import ModelConfig
 from motionkit.models.layers import FeedForward, PartLinear
 from motionkit.models.modules import AttentionLayer, AutoRegressiveModule
@@ -195,14 +195,14 @@ class NetworkStream:
 
     def __init__(self, network: PartTransformer, batch: int) -> None:
         self.network, self.batch = network, batch
-        # An LSTM keeps a state instead, and has no positions.
+        # A recurrent network keeps a state instead, and has no positions.
         config = network.config
         windowed = (
             config.variant.position == "sinusoidal"
             or config.variant.backbone == "non-local"
             or network.cross is not None
         )
-        self.recomputes = windowed and config.variant.backbone != "lstm"
+        self.recomputes = windowed and not config.variant.recurrent
         self.reset()
 
     def reset(self, given: int = 0) -> None:
@@ -218,8 +218,8 @@ class NetworkStream:
         inputs = network.part_columns.shape[1]
         self.recent = torch.zeros(P, B, config.kernel, inputs, device=device)
         self.before = torch.zeros(B, FEATURE_COUNT, device=device)
-        self.lstm_states: list[LstmState | None] = [None, None]
-        if config.variant.backbone == "lstm":
+        self.states: list[RecurrentState | None] = [None, None]
+        if config.variant.recurrent:
             return
         self.rings = [_ModuleRings(m, P, B) for m in (network.shallow, network.deep)]
 
@@ -245,10 +245,10 @@ class NetworkStream:
         motion = module.embed_motion(x)
         controls = module.embed_controls(controls.expand(motion.shape[0], *controls.shape))
         x = torch.cat([motion, controls[..., : module.config.embedding.control_width]], dim=-1)
-        if module.config.variant.backbone == "lstm":
-            lstm = module.layers[0]
-            assert isinstance(lstm, LstmLayers)
-            made, self.lstm_states[index] = lstm.run(x[:, :, None], self.lstm_states[index])
+        if module.config.variant.recurrent:
+            layers = module.layers[0]
+            assert isinstance(layers, RecurrentLayers)
+            made, self.states[index] = layers.run(x[:, :, None], self.states[index])
             return made[:, :, 0]
         rings = self.rings[index]
         slot = self.frame % module.config.window

@@ -171,7 +171,7 @@ class StackedLearner(Learner):
     A step of small networks on a GPU costs what launching its kernels costs, and stacked networks share the kernels.
 
     Args:
-        modules: one per seed, alike but for their weights; not with an LSTM, which torch cannot stack.
+        modules: one per seed, alike but for their weights; not recurrent ones, which torch cannot stack.
     """
 
     module: TrainingModule

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motionkit.cli.experiment.options import SETS
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError, MotionkitError
@@ -73,11 +73,12 @@ def test_every_variant_runs(plan: Plan, each: Variant) -> None:
     result = run(plan, each)
     assert result["name"] == each.name and result["group"] in GROUPS
     everything = result["groups"]["all"]
-    assert {*METRICS, "bm-upper", "bm-lower", "l2p", "l2q", "npss"} == set(everything)
+    assert {*METRICS, "bm-upper", "bm-lower", "class-accuracy", "l2p", "l2q", "npss"} == set(everything)
     assert all(
         value is not None for metric in ("bm-euler", "mpjpe", "ssim-channel") for value in everything[metric]
     )
-    assert result["sequences"] and set(result["distribution"]) == {"fid-pose", "diversity", "diversity-gt"}
+    sets = {"fid-pose", "diversity", "diversity-gt", "class-accuracy", "fid-class"}
+    assert result["sequences"] and set(result["distribution"]) == sets
     if each.preset:
         assert result["budget"]["steps"] == 20 and result["parameters"] > 0 and len(result["curve"]) == 4
     assert ("derivatives" in result) == ("held-out" in result) == ("by-mean" in result) == bool(each.preset)
@@ -197,7 +198,7 @@ def test_the_committed_results_are_read() -> None:
         ({"groups": {}}, "groups.all is missing"),
         ({"groups": {"all": {"afs": [1.0, "2"]}}}, r"groups.all.afs\[1\] is '2', expected a number"),
         ({"groups": {"all": {"afs": [1.0]}}}, "a metric without its two values"),
-        ({"data": "D_X"}, "the data set 'D_X', expected one of D_L, all"),
+        ({"data": "D/X"}, "the data set 'D/X', expected one of D_L, all"),
         ({"name": "nobody"}, "the experiment 'nobody'"),
         ({"group": "odd"}, "the group 'odd', expected one of tptn"),
         ({"longest": "240"}, "longest is '240', expected a whole number"),
@@ -310,8 +311,38 @@ def test_a_data_set_runs_on_its_own_clips(
     assert titles and all(name in title for title in titles)
 
 
-def test_the_options_name_every_data_set() -> None:
-    assert list(SELECTIONS) == SETS
+@pytest.mark.parametrize(
+    ("fields", "types", "tested", "mirrored"),
+    [
+        ({}, None, None, False),
+        ({"text": "gaits", "types": ["walking", "running"]}, {"walking", "running"}, None, False),
+        ({"test": ["*walk*"], "mirrored": True}, None, "walk", True),
+    ],
+)
+def test_users_define_data_sets_in_a_file(
+    paper_folder: Path, tmp_path: Path, fields: dict, types: set | None, tested: str | None, mirrored: bool
+) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(paper_folder, folder)
+    (folder / "sets").mkdir()
+    (folder / "sets" / "mine.json").write_text(json.dumps(fields), encoding="utf-8")
+    dataset = select(folder, "mine")
+    train, test = dataset.select("train"), dataset.select("test")
+    assert train and test and {clip.mirrored for clip in train} == {False, mirrored}
+    names = {dataset.types[i] for clip in (*train, *test) for i in np.unique(dataset.clip_types(clip))}
+    assert types is None or names <= types
+    if tested:
+        assert all(tested in clip.name for clip in test) and not any(tested in clip.name for clip in train)
+
+
+@pytest.mark.parametrize("text", ['{"types": "walking"}', '{"kinds": []}', "[]", '{"test": ["nobody"]}'])
+def test_files_of_data_sets_are_checked(paper_folder: Path, tmp_path: Path, text: str) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(paper_folder, folder)
+    (folder / "sets").mkdir()
+    (folder / "sets" / "mine.json").write_text(text, encoding="utf-8")
+    with pytest.raises(DatasetError, match=r"mine\.json: expected|data set mine: see its file"):
+        select(folder, "mine")
 
 
 @pytest.mark.parametrize(

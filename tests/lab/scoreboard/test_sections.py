@@ -12,6 +12,7 @@ from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import shape_path
 from motionkit.data.dataset import Dataset
 from motionkit.lab.scoreboard.board import evaluate_model
+from motionkit.lab.scoreboard.classes import classes_section
 from motionkit.lab.scoreboard.limits import acceleration_limit, turn_limit
 from motionkit.lab.scoreboard.paths import leaning, path_trials, paths_section, speed_trials, steered_types
 from motionkit.lab.scoreboard.reconstruction import held_out_clips, reconstruction_section
@@ -315,3 +316,12 @@ def test_types_are_judged_only_on_request(
     board = evaluate_model(tiny_model, dataset, settings, ["types"])
     (section,) = board.sections
     assert section.name == "types" and len(section.goals) == len(section.tables[0].rows)
+
+
+def test_the_section_has_a_row_for_each_type(make_trial) -> None:
+    trial = make_trial()
+    section = classes_section(trial, lambda share: None)
+    rows = section.tables[0].rows
+    assert [row[0] for row in rows] == ["all", *trial.recorded_types]
+    assert all(0.0 <= row[1] <= 1.0 for row in rows if row[1] is not None)
+    assert rows[0][3] > 0.0  # the tiny model does not move as the recordings do

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from motionkit.data.dataset import Dataset
+from motionkit.metrics.body import Body
 from motionkit.models.model import MotionModel
 from motionkit.training.verdict.judge import Judge
 from motionkit.training.verdict.real import RealMotion
@@ -57,6 +59,30 @@ def test_a_type_must_move_as_much_in_the_mean_as_its_clips(
     """Even where every roll-out is as slow as the calmest clips are."""
     reasons = reasons_of(replace(GOOD, joint_speed=speed), Judge(RealMotion(dataset)), [])
     assert reasons == ((f"it moves {reason} times as much as the clips",) if reason else ())
+
+
+@pytest.mark.parametrize(("shown", "works"), [(8, True), (7, True), (6, False)])
+def test_one_roll_out_of_eight_may_miss(dataset: Dataset, shown: int, works: bool) -> None:
+    judge = Judge(RealMotion(dataset))
+    bodies = [judge.real.of_type("walking")[0].body]
+    assert (reasons_of(replace(GOOD, type="walking", shown=shown), judge, bodies) == ()) == works
+
+
+@pytest.mark.parametrize(("most", "reasons"), [(1.3, 1), (1.6, 0)])
+def test_feet_may_slide_as_much_as_in_one_of_the_clips(dataset: Dataset, most: float, reasons: int) -> None:
+    verdict = replace(GOOD, sliding=1.5, sliding_target=most)
+    assert len(reasons_of(verdict, Judge(RealMotion(dataset)), [])) == reasons
+
+
+def test_a_stand_before_a_performance_is_not_taken_for_it(dataset: Dataset) -> None:
+    """Even where standing is within what the clips show."""
+    judge = Judge(RealMotion(dataset), own_clips=True)
+    kind = next(k for k in judge.real.types if (p := judge.real.profile(k)) is not None and p.performance)
+    body = judge.real.of_type(kind, "train")[0].body
+    still = [np.repeat(x[:1], 90, axis=0) for x in (body.rotations, body.positions, body.heading)]
+    parts = (body.rotations, body.positions, body.heading)
+    both = Body(*(np.concatenate([x, y]) for x, y in zip(still, parts, strict=True)), body.fps)
+    assert judge.nearest_part(kind, both).joint_speed() > 0.5 * body.joint_speed()
 
 
 @pytest.mark.parametrize(

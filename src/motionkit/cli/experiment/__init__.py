@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from motionkit.cli.experiment import results, rollouts, runs, study
+from motionkit.cli.experiment import in_between, results, rollouts, runs, study
 
 
 @click.group("experiment")
@@ -16,6 +16,6 @@ def command() -> None:
     """
 
 
-for _module in (runs, results, rollouts, study):
+for _module in (runs, results, rollouts, in_between, study):
     for _subcommand in _module.COMMANDS:
         command.add_command(_subcommand)

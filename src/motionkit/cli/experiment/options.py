@@ -14,7 +14,6 @@ from motionkit.training.budgets import BUDGETS
 if TYPE_CHECKING:
     from motionkit.lab.paper.runs import Plan
 
-SETS = ["D_L", "all", "all-mirrored", "no-dances", "locomotion"]
 RESULTS = Path("experiments/results")
 # Folders for results of single models, beside the results folder.
 SCENES, LONG, BODIES = (RESULTS.parent / name for name in ("scenes", "long", "bodies"))
@@ -36,8 +35,7 @@ set_option = click.option(
     "selection",
     default="D_L",
     show_default=True,
-    type=click.Choice(SETS),
-    help="Data set (motionkit/lab/paper/datasets.py).",
+    help="Data set: D_L, all, all-mirrored, no-dances, locomotion, or one of your own (sets/NAME.json in --data).",
 )
 
 

@@ -11,7 +11,6 @@ from motionkit.cli.experiment.options import (
     BODIES,
     LONG,
     SCENES,
-    SETS,
     needs_torch,
     output_option,
     results_option,
@@ -21,7 +20,7 @@ from motionkit.errors import MotionkitError
 
 @click.command("tables")
 @results_option
-@click.option("--set", "selection", type=click.Choice(SETS), help="Only this data set; all by default.")
+@click.option("--set", "selection", help="Only this data set; all by default.")
 @output_option("docs/experiments.md", folder=False)
 @click.option(
     "--latex", type=click.Path(path_type=Path, dir_okay=False), help="Also write all tables in LaTeX."

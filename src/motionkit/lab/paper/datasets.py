@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
 
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.errors import DatasetError
+from motionkit.files import read_json
 
 PAPER_TYPES = (
     "idle", "walking", "running", "jumping-l", "jumping-r", "jumping-b", "b-walking", "kicking", "punching",
@@ -21,6 +23,7 @@ PAPER_TYPES = (
 )  # fmt: skip
 TRAIN_PER_TYPE = 3  # 3 x 13 types: the paper's 39 sequences
 LEAST_TEST = 60  # frames of a test sequence: 30 to begin with, and as many to compare
+OWN_SETS = "sets"  # folder of a dataset folder with data sets that users define
 LOCOMOTION = ("idle", "walking", "running", "b-walking", "duck", "jumping-b")  # what PFNN was made for
 PFNN_TESTS = 5  # sequences held out in the paper's comparison with PFNN
 
@@ -40,18 +43,55 @@ def select(folder: Path, name: str) -> Dataset:
     Raises:
         DatasetError: if the data set is unknown, or has no training or test clips here.
     """
-    if name not in SELECTIONS:
-        raise DatasetError(f"unknown data set {name!r}, expected one of {', '.join(SELECTIONS)}")
     dataset = Dataset(folder)
-    train, test = SELECTIONS[name].choose(dataset)
+    train, test = (SELECTIONS.get(name) or own_selection(folder, name)).choose(dataset)
     if not train or not test:
-        raise DatasetError(
-            f"{folder}: no clips for the data set {name}: expected the types {', '.join(PAPER_TYPES)}"
-        )
+        wanted = f"expected the types {', '.join(PAPER_TYPES)}" if name in SELECTIONS else "see its file"
+        raise DatasetError(f"{folder}: no clips for the data set {name}: {wanted}")
     dataset.clips = tuple(
         [replace(c, split="train") for c in train] + [replace(c, split="test") for c in test]
     )
     return dataset
+
+
+def own_selection(folder: Path, name: str) -> Selection:
+    """Return a data set that a user has defined: NAME.json in the folder sets of a dataset folder.
+
+    Its fields, all optional, are "text"; "types", the only ones of its clips; "test", patterns of the names of its test
+    clips in place of the dataset's own; and "mirrored", whether mirror images train too.
+
+    Raises:
+        DatasetError: there is no such file, or it holds something else.
+    """
+    files = folder / OWN_SETS
+    known = [*SELECTIONS, *sorted(path.stem for path in files.glob("*.json"))]
+    if name not in known:
+        raise DatasetError(
+            f"unknown data set {name!r:.60}, expected one of {', '.join(known)}, or {files}/NAME.json"
+        )
+    path = files / f"{name}.json"
+    found = read_json(path, "a data set", DatasetError)
+    fields = {"text": str, "types": list, "test": list, "mirrored": bool}
+    if not isinstance(found, dict) or not all(isinstance(found[key], fields.get(key, ())) for key in found):
+        raise DatasetError(
+            f'{path}: expected {{"text": "...", "types": [...], "test": [...], "mirrored": true}}'
+        )
+
+    def choose(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
+        train, test = (_plain(dataset, split) for split in ("train", "test"))
+        if "test" in found:
+            whole = [*train, *test]
+            test = [
+                clip for clip in whole if any(fnmatch(clip.name, str(pattern)) for pattern in found["test"])
+            ]
+            train = [clip for clip in whole if clip not in test]
+        if "types" in found:
+            train, test = (_only(dataset, clips, found["types"].__contains__) for clips in (train, test))
+        if found.get("mirrored"):
+            train += [replace(clip, name=f"{clip.name} (mirrored)", mirrored=True) for clip in train]
+        return train, _long(test)
+
+    return Selection(name, found.get("text", "a data set of one's own"), choose)
 
 
 def frames_of(dataset: Dataset, clip: Clip) -> dict[str, int]:

@@ -32,7 +32,7 @@ def control_derivatives(network: Predictor, dataset: Dataset, sequence: HeldOut)
     )
     given.requires_grad_()
     shown.requires_grad_()
-    with torch.backends.cudnn.flags(enabled=False):  # its LSTMs have no gradients in evaluation mode
+    with torch.backends.cudnn.flags(enabled=False):  # recurrent layers have no gradients in evaluation mode
         made = network(given, contacts, shown).trajectory_mean[0, -1]
         rows = [torch.autograd.grad(value, (given, shown), retain_graph=True) for value in made]
     by_features = torch.stack([row[0][0, -1] for row in rows])

@@ -104,8 +104,10 @@ def check_result(result: Any) -> None:
     """
     _check(result, RESULT, "")
     name, group, data = result["name"], result["group"], result["data"]
-    if data not in SELECTIONS:
-        raise MotionkitError(f"the data set {data!r:.40}, expected one of {', '.join(SELECTIONS)}")
+    if data not in SELECTIONS and data != safe_name(data):
+        raise MotionkitError(
+            f"the data set {data!r:.40}, expected one of {', '.join(SELECTIONS)}, or a plain name"
+        )
     if group != SHIPPED_GROUP:
         known = {each.name: each for each in VARIANTS}
         if name not in known:

@@ -63,6 +63,15 @@ derivatives that by the features fed in is small even for the best linear predic
 that by the trajectory nears 1 as a network learns, and begins there where the head adds what it is given.
 """
 
+NOT_DRAWN = """**Figures 10 to 12 are not drawn.** What figure 10 shows, feet that slide, is AFS in the tables; figure
+11, motions beside recordings, is the page of `motionkit experiment study`; figure 12, a path by PFNN
+and by TPTN, needs PFNN's data, which is not free (`--set locomotion` is the nearest). The control input
+that fails in section 5.5, a twist by EBTN, is a row of the tables by type in
+[experiments-tables.md](experiments-tables.md); runs made or measured anew also have the share of it
+that a classifier of the types takes for a twist. Responsiveness is measured of the shipped model
+([evaluation.md](evaluation.md#response)), not of `tptn-paper`.
+"""
+
 SCENES = """## The paper's figures 1 and 5 to 9
 
 `motionkit experiment scenes --seeds 3` makes what these figures show, with any model (`--model`). Types and shapes are
@@ -90,7 +99,7 @@ def scenes_section(scenes: Sequence[dict[str, Any]], folder: Path) -> list[str]:
         file = picture_name(scene["figure"], scene["name"])
         if (folder / file).exists():
             parts.append(f"![Figure {scene['figure']}: {scene['text']}]({file})\n")
-    return parts
+    return [*parts, NOT_DRAWN]
 
 
 def scene_cell(scene: dict[str, Any]) -> str:

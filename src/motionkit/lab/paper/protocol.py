@@ -6,6 +6,7 @@ Paper section 5.3. No foot IK, no reference poses, no corrections: frames are wh
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,11 @@ from motionkit.arrays import Array
 from motionkit.data.dataset import ClipData, Dataset
 from motionkit.errors import MotionkitError
 from motionkit.features.control import Controls, blend_types, future_trajectory, types_ahead
+from motionkit.lab.classifier import Classifier, classified, described, train_classifier
 from motionkit.lab.held_out import Continue, HeldOut, compared, decoded
 from motionkit.lab.paper.datasets import is_dance
 from motionkit.lab.statistics import rounded, weighted_mean
+from motionkit.metrics.body import body_of
 from motionkit.metrics.body_movement import body_movement
 from motionkit.metrics.distribution import diversity, frechet_distance, window_features
 from motionkit.metrics.value import MetricValue
@@ -35,6 +38,12 @@ METRICS = (
     "path-mean",
     "skate-ratio",
     "jerk",
+    "jerk-peak",
+    "jerk-area",
+    "location-mean",
+    "location-20",
+    "location-50",
+    "trajectory-50",
     "l2p",
     "l2q",
     "npss",
@@ -77,10 +86,14 @@ def measure(
         Values per sequence, and for the groups "all", "dance" and "non-dance" their means over frames.
     """
     rows, made_windows, true_windows = [], [], []
+    by_type: dict[str, list[Array]] = {}
+    true_classes = []
     for number, sequence in enumerate(sequences):
         features = continues(sequence, number)
         motion, truth = decoded(dataset, sequence, features), truth_of(dataset, sequence)
+        windows = described(body_of(motion)), described(body_of(truth))
         values = _values(motion, truth)
+        values["class-accuracy"] = [_taken_for(dataset, sequence.kind, each) for each in windows]
         rows.append(
             {
                 "sequence": sequence.clip.name,
@@ -93,6 +106,8 @@ def measure(
         recorded = sequence.data.features[sequence.initial : sequence.initial + sequence.frames]
         made_windows.append(window_features(features, dataset.pose_embedding))
         true_windows.append(window_features(recorded, dataset.pose_embedding))
+        by_type.setdefault(sequence.kind, []).append(windows[0])
+        true_classes.append(windows[1])
         progress((number + 1) / len(sequences))
     together, truths = np.concatenate(made_windows), np.concatenate(true_windows)
     groups: dict[str, object] = {
@@ -109,7 +124,23 @@ def measure(
         "diversity": _of_sets(lambda: diversity(together)),
         "diversity-gt": _of_sets(lambda: diversity(truths)),
     }
+
+    def of_classes(name: str) -> float | None:
+        return _of_sets(lambda: classified(_classifier(dataset), by_type, true_classes)[name])
+
+    distribution |= {name: of_classes(name) for name in ("class-accuracy", "fid-class")}
     return {"groups": groups, "distribution": distribution, "sequences": rows}
+
+
+def _taken_for(dataset: Dataset, kind: str, windows: Array) -> float | None:
+    """The share of windows that the dataset's classifier takes for a type; None without one, or without windows."""
+    return _of_sets(lambda: classified(_classifier(dataset), {kind: [windows]}, [])["class-accuracy"])
+
+
+@lru_cache(1)
+def _classifier(dataset: Dataset) -> Classifier:
+    """The classifier of a dataset; the runs of a command have the same one."""
+    return train_classifier(dataset)
 
 
 def _of_sets(measured: Callable[[], MetricValue]) -> float | None:

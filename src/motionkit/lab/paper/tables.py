@@ -59,6 +59,8 @@ RESEARCH = (
     Column("skate-ratio", "foot skate", "low", 3),
     Column("jerk", "jerk (m/s³)", "truth", 0),
 )
+# Whether a network performs what its control input says: EBTN, told to twist, does not (section 5.5).
+TAKEN_FOR = Column("class-accuracy", "taken for its type", "high", 2)
 PARTS_MOVED = (
     Column("bm-upper", "BM of the upper body", "truth", 1),
     Column("bm-lower", "BM of the lower body", "truth", 1),
@@ -190,7 +192,8 @@ def _folder_tables(folder: str, results: Results) -> list[Table]:
                 _table(f"Metrics of other papers: {_named(folder)}", selection, present, by_name, RESEARCH)
             )
             out.append(_distribution(f"Sets of motions: {_named(folder)}", present, by_name))
-    out.append(_by_type(f"TPTN by type of motion: {_named(folder)}", by_name.get("TPTN", [])))
+    for name in ("TPTN", "EBTN"):
+        out.append(_by_type(f"{name} by type of motion: {_named(folder)}", by_name.get(name, [])))
     out += _held_out_tables(_named(folder), [v for v in VARIANTS if v.name in by_name], by_name)
     out.append(_derivatives(f"Derivatives of the predicted trajectory: {_named(folder)}", by_name))
     return [table for table in out if table.rows]
@@ -238,17 +241,18 @@ def _by_type(title: str, results: Results) -> Table:
         }
         for result in results
     ]
+    columns = (*MAIN, TAKEN_FOR) if figure_of(results, TAKEN_FOR.metric) else MAIN
     rows = []
     for kind in kinds:
         frames = sum(row["frames"] for row in results[0]["sequences"] if row["type"] == kind)
-        made = [figure_of(by_kind, column.metric, kind) for column in MAIN]
-        truth = [figure_of(by_kind, column.metric, kind, recorded=True) for column in MAIN]
+        made = [figure_of(by_kind, column.metric, kind) for column in columns]
+        truth = [figure_of(by_kind, column.metric, kind, recorded=True) for column in columns]
         cells = [
             _beside(_cell(own, column.digits), "" if real is None else round(real.mean, column.digits))
-            for column, own, real in zip(MAIN, made, truth, strict=True)
+            for column, own, real in zip(columns, made, truth, strict=True)
         ]
         rows.append((kind, str(frames), *cells))
-    return Table(title, ("", "frames", *(column.title for column in MAIN)), tuple(rows))
+    return Table(title, ("", "frames", *(column.title for column in columns)), tuple(rows))
 
 
 def _paper_value(selection: str, name: str, column: Column) -> float | str:
@@ -281,18 +285,28 @@ def _parameters(v: Variant, results: Results) -> str:
     return ours if v.paper_parameters is None else f"{ours} ({v.paper_parameters:g})"
 
 
+# Titles of columns of sets of motions, and the fields of "distribution" that they show.
+OF_SETS = (
+    ("Frechet distance (fid-pose)", "fid-pose", 2),
+    ("diversity", "diversity", 2),
+    ("accuracy of a classifier (class-accuracy)", "class-accuracy", 3),
+    ("Frechet distance of its features (fid-class)", "fid-class", 2),
+)
+
+
 def _distribution(title: str, variants: Sequence[Variant], by_name: dict[str, list[dict[str, Any]]]) -> Table:
-    rows = []
-    for v in variants:
-        values = {
-            k: figure([r["distribution"][k] for r in by_name[v.name] if r["distribution"][k] is not None])
-            for k in ("fid-pose", "diversity")
-        }
-        rows.append((v.name, _cell(values["fid-pose"], 2), _cell(values["diversity"], 2)))
-    spread = by_name[variants[0].name][0]["distribution"]["diversity-gt"]
-    recorded = figure([] if spread is None else [spread])
-    rows.insert(0, ("recorded", "0.00", _cell(recorded, 2)))
-    return Table(title, ("", "Frechet distance (fid-pose)", "diversity"), tuple(rows))
+    def values(name: str, field: str) -> list[float]:
+        return [value for r in by_name[name] if (value := r["distribution"].get(field)) is not None]
+
+    shown = [of for of in OF_SETS if any(values(v.name, of[1]) for v in variants)]
+    rows = [
+        (v.name, *(_cell(figure(values(v.name, field)), digits) for _, field, digits in shown))
+        for v in variants
+    ]
+    recorded = {"fid-pose": "0.00", "fid-class": "0.00", "class-accuracy": "-"}
+    recorded["diversity"] = _cell(figure(values(variants[0].name, "diversity-gt")[:1]), 2)
+    rows.insert(0, ("recorded", *(recorded[field] for _, field, _ in shown)))
+    return Table(title, ("", *(name for name, _, _ in shown)), tuple(rows))
 
 
 # Titles of columns, the fields of "held-out" that they show, and digits after the point.
@@ -378,8 +392,9 @@ def budget_lines(results: Results) -> list[str]:
     for folder in protocol_folders(results):
         here = in_folder(results, folder)
         trained = [r for r in here if "budget" in r]
-        selection = SELECTIONS[here[0]["data"]]
-        line = f"**{_named(folder)}**: {selection.text}; {counted(len(here), 'result')}."
+        known = SELECTIONS.get(here[0]["data"])
+        text = known.text if known else "a data set of its own"
+        line = f"**{_named(folder)}**: {text}; {counted(len(here), 'result')}."
         if trained:
             b = trained[0]["budget"]
             seconds = sorted(r["timing"]["seconds"] for r in trained)

@@ -104,7 +104,7 @@ def stack(dataset: Dataset, options: Sequence[TrainOptions], device: torch.devic
         assert isinstance(network, PartTransformer)
         modules.append(TrainingModule(network, dataset, each.losses))
     learners: list[Learner]
-    if len(modules) > 1 and config.variant.backbone != "lstm":
+    if len(modules) > 1 and not config.variant.recurrent:
         learners = [StackedLearner(modules, options[0], processes)]
     else:
         learners = [

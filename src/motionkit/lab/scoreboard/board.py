@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 from motionkit.data.dataset import Dataset
 from motionkit.data.workers import worker_processes
-from motionkit.errors import ControlError, DatasetError
+from motionkit.errors import ControlError, DatasetError, MotionkitError
 from motionkit.lab.scoreboard.accuracy import accuracy_section
 from motionkit.lab.scoreboard.gaits import gaits_section
 from motionkit.lab.scoreboard.paths import paths_section
@@ -33,6 +34,17 @@ from motionkit.training.verdict.real import RealMotion
 SectionProgress = Callable[[str, float], None]
 Measure = Callable[[Trial, Callable[[float], None]], Section]
 
+
+def _classes_section(trial: Trial, progress: Callable[[float], None]) -> Section:
+    if find_spec("torch") is None:
+        raise MotionkitError(
+            "the section classes trains a classifier, which needs torch: pip install 'motionkit[train]'"
+        )
+    from motionkit.lab.scoreboard.classes import classes_section
+
+    return classes_section(trial, progress)
+
+
 SECTIONS: dict[str, Measure] = {
     "visible": visible_section,
     "accuracy": accuracy_section,
@@ -44,9 +56,10 @@ SECTIONS: dict[str, Measure] = {
     "response": response_section,
     "smoothness": smoothness_section,
     "types": types_section,
+    "classes": _classes_section,
 }
-# Measured only where it is asked for: it sums up in a minute or two what the others measure at length.
-ON_REQUEST = ("types",)
+# Measured only where they are asked for: types sums up what the others measure at length, classes needs torch.
+ON_REQUEST = ("types", "classes")
 
 
 def evaluate_model(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from functools import cached_property
 
@@ -126,7 +127,14 @@ class Judge:
         performances = self._performances(kind, body)
         if profile is None or not performances:
             return body.cut(round(GRACE * body.fps), len(body))
-        return min(performances, key=profile.excess)
+
+        def unlike(part: Body) -> tuple[float, float]:
+            speed = max(part.joint_speed(), 1e-6) / max(profile.joint_speed, 1e-6)
+            return profile.excess(part), abs(
+                math.log(speed)
+            )  # standing before a strike is within its clips, too
+
+        return min(performances, key=unlike)
 
     def _performances(self, kind: str, body: Body) -> list[Body]:
         """Stretches of the length of a type's clips, if it is judged by them and has a phase.

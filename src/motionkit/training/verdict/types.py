@@ -28,7 +28,7 @@ from motionkit.tables import Table
 from motionkit.training.verdict.extents import SPREAD, what_is_off
 from motionkit.training.verdict.judge import GRACE, LIVELY, Judge
 from motionkit.training.verdict.real import PROFILE_SECONDS, SHORTEST, RealMotion
-from motionkit.training.verdict.rolling import Take, commanded_plans, grouped, roll_paths, roll_plans
+from motionkit.training.verdict.rolling import commanded_plans, grouped, roll_paths, roll_plans
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ class VerdictSettings:
 
 
 QUICK_TYPES = VerdictSettings()
-# Targets: share of roll-outs that show the type, distance from the path (cm) of walks and of runs, and sliding of
-# held feet relative to the recordings.
-SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.95, 1.0, 2.0, 1.3
+# Targets: share of roll-outs that show the type (benchmarks/verdicts.py), distance from the path (cm) of walks and of
+# runs, and sliding of held feet relative to the recordings, unless one of them slides more.
+SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.85, 1.0, 2.0, 1.3
 WALK_RADIUS, RUN_RADIUS = 2.0, 4.0  # metres of the figure-eight
 FEW_STEPS = 300  # of a run from a model; docs/training.md shows what so many bring
 FEW_SECONDS = 10.0  # recordings of a type shorter than this in all are too few to learn from
@@ -71,6 +71,7 @@ class TypeVerdict:
         path: mean distance in cm from a figure-eight; None for types that no velocity steers.
         path_target: the largest good distance in cm.
         sliding: foot sliding of the roll-outs with held feet relative to that of the recordings.
+        sliding_target: the largest good one.
         reasons: what is wrong, in plain words; empty for a type that works.
     """
 
@@ -84,6 +85,7 @@ class TypeVerdict:
     path_target: float
     sliding: float
     reasons: tuple[str, ...] = ()
+    sliding_target: float = SLIDING
 
     @property
     def works(self) -> bool:
@@ -120,7 +122,10 @@ def quick_verdicts(
     paths = _path_distances(model, kinds, settings, lambda share: report(0.6 + 0.3 * share))
     verdicts = {}
     for kind, mine in zip(kinds, grouped(takes, settings.seeds), strict=True):
-        verdicts[kind] = _verdict(model, judge, kind, mine, paths.get(kind))
+        bodies = [take.default.cut(round(NEUTRAL_SECONDS * model.fps), len(take.default)) for take in mine]
+        gait = model.types[kind].gait
+        target = RUNS_WITHIN if gait is not None and gait.runs else WALKS_WITHIN
+        verdicts[kind] = verdict_on(judge, kind, bodies, paths.get(kind), target)
         report(0.9 + 0.1 * len(verdicts) / len(kinds))
     real = judge.real
     return [verdicts.get(kind) or _unlearnt(real, kind) for kind in model.types if kind in real.types]
@@ -165,7 +170,7 @@ def verdict_notes() -> list[str]:
         f"strikes, poses. Limits are what the clips show, widened by {SPREAD:g} times their spread and a margin",
         f"path: mean distance of the root from a figure-eight of {WALK_RADIUS:g} m, for runs of {RUN_RADIUS:g} m; "
         f"to be within {WALKS_WITHIN:g} and {RUNS_WITHIN:g} cm",
-        f"sliding: of feet that are held, relative to the recordings; at most {SLIDING:g}",
+        f"sliding: of feet that are held, relative to the recordings; at most {SLIDING:g}, or as much as in one clip",
     ]
 
 
@@ -202,18 +207,21 @@ def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings, trainin
     return "\n".join(lines) + "\n"
 
 
-def _verdict(
-    model: MotionModel, judge: Judge, kind: str, takes: Sequence[Take], path: float | None
+def verdict_on(
+    judge: Judge,
+    kind: str,
+    bodies: Sequence[Body],
+    path: float | None = None,
+    path_target: float = WALKS_WITHIN,
 ) -> TypeVerdict:
-    skip = round(NEUTRAL_SECONDS * model.fps)
-    bodies = [take.default.cut(skip, len(take.default)) for take in takes]
+    """Judge what was made of a type, each from the command on, by the recordings of the type."""
     found = judge.real.of_type(kind, "train")
     profile = judge.real.profile(kind)
     assert profile is not None
     late = [body.cut(round(GRACE * body.fps), len(body)) for body in bodies]
     nearest = [judge.nearest_part(kind, body) for body in bodies]
-    recorded = np.average([_sliding(s.body) for s in found], weights=[len(s.body) for s in found])
-    gait = model.types[kind].gait
+    slides = [_sliding(s.body) for s in found]
+    recorded = max(float(np.average(slides, weights=[len(s.body) for s in found])), 0.02)
     verdict = TypeVerdict(
         kind,
         len({stretch.clip for stretch in found}),
@@ -222,8 +230,9 @@ def _verdict(
         len(bodies),
         sum(body.joint_speed() for body in nearest) / len(nearest) / max(profile.joint_speed, 1e-6),
         path,
-        RUNS_WITHIN if gait is not None and gait.runs else WALKS_WITHIN,
-        float(np.mean([_sliding(body) for body in late]) / max(recorded, 0.02)),
+        path_target,
+        float(np.mean([_sliding(body) for body in late]) / recorded),
+        sliding_target=max(SLIDING, max(slides) / recorded),
     )
     return replace(verdict, reasons=reasons_of(verdict, judge, nearest))
 
@@ -266,7 +275,7 @@ def reasons_of(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> tuple[
         out.append(moves)
     if verdict.path is not None and not verdict.path <= verdict.path_target:
         out.append(f"{verdict.path:.1f} cm from its path, expected at most {verdict.path_target:g}")
-    if verdict.sliding > SLIDING:
+    if verdict.sliding > verdict.sliding_target:
         out.append(f"feet slide {verdict.sliding:.1f} times as far as in the clips")
     if out and verdict.clips == 1:
         out.append("there is one clip to learn from")
