@@ -231,15 +231,8 @@ def stderr_console() -> PlainConsole:
     return PlainConsole(sys.stderr)
 
 
-def progress_bar() -> Progress:
-    """A progress bar on stderr, shown only on a terminal; it erases itself at the end."""
-    from motionkit.cli.console import make_progress
-
-    return make_progress(sys.stderr, disable=not sys.stderr.isatty())
-
-
 class Stages:
-    """Shows the stages of a job on one progress bar each; a bar disappears when the next stage begins."""
+    """Shows the stages of a job on one progress bar each, on a terminal; a bar disappears as the next begins."""
 
     def __init__(self) -> None:
         self._stage = ""
@@ -254,8 +247,10 @@ class Stages:
     def __call__(self, stage: str, done: float, total: float | None = None) -> None:
         """Show progress of a stage; total is None while unknown."""
         if stage != self._stage or self._bar is None:
+            from motionkit.cli.console import make_progress
+
             self.close()
-            self._stage, self._bar = stage, progress_bar()
+            self._stage, self._bar = stage, make_progress(sys.stderr, disable=not sys.stderr.isatty())
             self._bar.start()
             self._bar.add_task(stage, total=total)
         self._bar.update(self._bar.task_ids[0], completed=done, total=total)

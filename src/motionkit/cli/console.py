@@ -14,6 +14,7 @@ from motionkit.names import visible
 
 _BESIDE_THE_BAR = 40  # columns reserved for description, count and time
 _WIDEST_BAR = 40  # columns
+BARE: dict[str, Any] = {"box": None, "header_style": "bold", "pad_edge": False}  # a table without rules
 
 
 class PlainConsole(Console):
@@ -35,7 +36,7 @@ def make_table(
     Args:
         left: indices of the left-aligned columns; the others, which hold numbers, are right-aligned.
     """
-    usual = {} if "title" in style else {"box": None, "header_style": "bold", "pad_edge": False}
+    usual = {} if "title" in style else BARE
     table = Table(**(usual | style))
     left = set(left)
     for number, name in enumerate(columns):

@@ -3,123 +3,31 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from motionkit.cli.common import (
+    FILE,
+    PLACE,
+    Stages,
+    gathered,
     json_option,
+    option,
     plain,
     print_json,
-    progress_bar,
     stdout_console,
 )
 from motionkit.cli.synthesis_options import make_noise, noise_options, reference_option
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from motionkit.cli.console import PlainConsole
     from motionkit.lab.scoreboard.report import Scoreboard
     from motionkit.lab.scoreboard.settings import EvaluationSettings
     from motionkit.models.model import MotionModel
     from motionkit.tables import Table
-
-
-@click.command("evaluate")
-@click.argument("model")
-@click.argument("dataset", type=click.Path(path_type=Path))
-@click.option(
-    "--only", help="Sections to measure, separated by commas, such as accuracy,paths; all by default."
-)
-@click.option(
-    "--split",
-    default="test",
-    show_default=True,
-    type=click.Choice(["validation", "test"]),
-    help="Held-out clips and seeds to use: validation (seeds below 1000) to choose settings, test (from 1000 on) to "
-    "report.",
-)
-@click.option(
-    "--seeds",
-    type=click.IntRange(1, 500),
-    help="Roll-outs per type for accuracy, visible and variety; 20 by default.",
-)
-@click.option(
-    "--quick",
-    is_flag=True,
-    help="Only say which types work, and why the others do not, in about two minutes; with --only, measure those "
-    "sections with 3 seeds and shorter roll-outs.",
-)
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, dir_okay=False),
-    multiple=True,
-    help="Write the report to a .md or .json file; repeat it for both.",
-)
-@click.option(
-    "--jobs", default=1, show_default=True, type=click.IntRange(1, 256), help="Number of processes."
-)
-@noise_options
-@reference_option
-@click.option(
-    "--seed",
-    type=int,
-    help="First random seed; the first of the split by default, 0 or 1000. The same seed gives the same result.",
-)
-@json_option
-def command(model: str, dataset: Path, **options: Any) -> None:
-    """Measure MODEL against the recordings of DATASET and print its scoreboard.
-
-    MODEL is a model file, or the word bundled. DATASET is a folder made by preprocess. The sections are:
-
-    \b
-    visible         leaps of knees, flipped bodies, floating, sinking, falls
-    accuracy        how often the motion shows the type asked for
-    variety         how far seeds are apart, what they show of the recordings
-    stability       whether long roll-outs keep moving and stay on the floor
-    reconstruction  held-out clips, rolled out from their first frames
-    gaits           how steadily gaits go, tight circles, how often types step
-    paths           distance from the paths to follow
-    response        seconds from a command to the response
-    smoothness      joints and braking in transitions that no clip contains
-    types           whether each type works, and why not; only with --quick or --only
-    classes         what a classifier of the types takes the motion for; only with --only
-
-    Motion is measured as users get it by default, with feet locked; other columns have the raw network and the model
-    without its reference recordings. docs/evaluation.md defines every number. The exit code is 0 whether or not the
-    targets are reached.
-    """
-    asked = Asked(**options)
-    for file in asked.output:
-        if file.suffix.lower() not in (".md", ".json"):
-            raise click.UsageError(f"{file}: expected a report named .md or .json")
-
-    from motionkit.data.dataset import Dataset
-    from motionkit.files import atomic_write, check_outputs
-    from motionkit.lab.scoreboard.board import evaluate_model
-    from motionkit.models.bundled import open_model
-
-    check_outputs(asked.output, [model, *dataset.glob("*")])
-    loaded = open_model(model)
-    sections, settings = asked.measured(loaded)
-    with progress_bar() as bar:
-        board = evaluate_model(loaded, Dataset(dataset), settings, sections, _one_by_one(bar), asked.jobs)
-    board.about.update({"model": model, "dataset": str(dataset)})
-    for file in asked.output:
-        with atomic_write(file) as out:
-            if file.suffix.lower() == ".md":
-                out.write(board.markdown())
-            else:
-                json.dump(plain(board.as_dict()), out, indent=2)
-    if asked.as_json:
-        print_json(board.as_dict())
-    else:
-        _print(board, stdout_console())
 
 
 @dataclass(frozen=True)
@@ -155,19 +63,102 @@ class Asked:
             raise click.UsageError(str(error)) from None
 
 
-def _one_by_one(bar: Progress) -> Callable[[str, float], None]:
-    """A callback that shows progress on a bar, one section after another."""
-    tasks = {"reading": bar.add_task("reading", total=None)}
+@click.command("evaluate")
+@click.argument("model")
+@click.argument("dataset", type=PLACE)
+@click.option(
+    "--only", help="Sections to measure, separated by commas, such as accuracy,paths; all by default."
+)
+@option(
+    "--split",
+    default="test",
+    type=click.Choice(["validation", "test"]),
+    help="Held-out clips and seeds to use: validation (seeds below 1000) to choose settings, test (from 1000 on) to "
+    "report.",
+)
+@click.option(
+    "--seeds",
+    type=click.IntRange(1, 500),
+    help="Roll-outs per type for accuracy, visible and variety; 20 by default.",
+)
+@click.option(
+    "--quick",
+    is_flag=True,
+    help="Only say which types work, and why the others do not, in about two minutes; with --only, measure those "
+    "sections with 3 seeds and shorter roll-outs.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=FILE,
+    multiple=True,
+    help="Write the report to a .md or .json file; repeat it for both.",
+)
+@option("--jobs", default=1, type=click.IntRange(1, 256), help="Number of processes.")
+@noise_options
+@reference_option
+@click.option(
+    "--seed",
+    type=int,
+    help="First random seed; the first of the split by default, 0 or 1000. The same seed gives the same result.",
+)
+@json_option
+@gathered("asked", Asked)
+def command(model: str, dataset: Path, asked: Asked) -> None:
+    """Measure MODEL against the recordings of DATASET and print its scoreboard.
 
-    def show(name: str, share: float) -> None:
-        if name not in tasks:
-            for task in tasks.values():
-                bar.remove_task(task)
-            tasks.clear()
-            tasks[name] = bar.add_task(name, total=100)
-        bar.update(tasks[name], completed=100 * share)
+    MODEL is a model file, or the word bundled. DATASET is a folder made by preprocess. The sections are:
 
-    return show
+    \b
+    visible         leaps of knees, flipped bodies, floating, sinking, falls
+    accuracy        how often the motion shows the type asked for
+    variety         how far seeds are apart, what they show of the recordings
+    stability       whether long roll-outs keep moving and stay on the floor
+    reconstruction  held-out clips, rolled out from their first frames
+    gaits           how steadily gaits go, tight circles, how often types step
+    paths           distance from the paths to follow
+    response        seconds from a command to the response
+    smoothness      joints and braking in transitions that no clip contains
+    types           whether each type works, and why not; only with --quick or --only
+    classes         what a classifier of the types takes the motion for; only with --only
+
+    Motion is measured as users get it by default, with feet locked; other columns have the raw network and the model
+    without its reference recordings. docs/evaluation.md defines every number. The exit code is 0 whether or not the
+    targets are reached.
+    """
+    for file in asked.output:
+        if file.suffix.lower() not in (".md", ".json"):
+            raise click.UsageError(f"{file}: expected a report named .md or .json")
+
+    from motionkit.data.dataset import Dataset
+    from motionkit.files import atomic_write, check_outputs
+    from motionkit.lab.scoreboard.board import evaluate_model
+    from motionkit.models.bundled import open_model
+
+    check_outputs(asked.output, [model, *dataset.glob("*")])
+    loaded = open_model(model)
+    sections, settings = asked.measured(loaded)
+    with Stages() as show:
+        show("reading", 0)
+        board = evaluate_model(
+            loaded,
+            Dataset(dataset),
+            settings,
+            sections,
+            lambda name, share: show(name, 100 * share, 100),
+            asked.jobs,
+        )
+    board.about.update({"model": model, "dataset": str(dataset)})
+    for file in asked.output:
+        with atomic_write(file) as out:
+            if file.suffix.lower() == ".md":
+                out.write(board.markdown())
+            else:
+                json.dump(plain(board.as_dict()), out, indent=2)
+    if asked.as_json:
+        print_json(board.as_dict())
+    else:
+        _print(board, stdout_console())
 
 
 def _print(board: Scoreboard, console: PlainConsole) -> None:
@@ -183,11 +174,7 @@ def _print(board: Scoreboard, console: PlainConsole) -> None:
 
 
 def _print_table(table: Table, console: PlainConsole) -> None:
-    from rich.table import Table as RichTable
+    from motionkit.cli.console import BARE, make_table
 
-    shown = RichTable(title=table.title, title_justify="left", box=None, header_style="bold", pad_edge=False)
-    for column in table.columns:
-        shown.add_column(column, overflow="fold")
-    for row in table.texts():
-        shown.add_row(*row)
-    console.print(shown)
+    style = {"title": table.title, "title_justify": "left", **BARE}
+    console.print(make_table(table.columns, table.texts(), range(len(table.columns)), **style))

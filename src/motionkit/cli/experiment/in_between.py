@@ -9,10 +9,10 @@ import click
 from motionkit.cli.common import (
     EXISTING_FILE,
     EXISTING_FOLDER,
+    Stages,
     json_option,
     option,
     print_json,
-    progress_bar,
     say,
 )
 
@@ -45,8 +45,8 @@ def in_between_command(
     if model is not None:
         kind = model.type_names[model.type_id(kind)]
     rows, facts = [], []
-    with progress_bar() as bar:
-        task = bar.add_task("filling", total=len(GAPS) * (2 if model is None else 4))
+    with Stages() as stages:
+        show = stages.count("filling", len(GAPS) * (2 if model is None else 4))
         for gap, way, count, values in in_between(folder, model, kind, windows):
             known = PUBLISHED.get(way, {}).get(gap, (None,) * len(values))
             cells = [
@@ -55,7 +55,7 @@ def in_between_command(
             ]
             rows.append((str(gap), way, str(count), *cells))
             facts.append({"gap": gap, "way": way, "windows": count} | {v.id: v.value for v in values})
-            bar.advance(task)
+            show(len(rows))
     if as_json:
         print_json({"rows": facts})
         return

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import stdout_console
+from motionkit.cli.common import FILE, stdout_console
 from motionkit.cli.experiment.options import (
     BODIES,
     LONG,
@@ -22,9 +22,7 @@ from motionkit.errors import MotionkitError
 @results_option
 @click.option("--set", "selection", help="Only this data set; all by default.")
 @output_option("docs/experiments.md", folder=False)
-@click.option(
-    "--latex", type=click.Path(path_type=Path, dir_okay=False), help="Also write all tables in LaTeX."
-)
+@click.option("--latex", type=FILE, help="Also write all tables in LaTeX.")
 def tables_command(results: Path, selection: str | None, output: Path, latex: Path | None) -> None:
     """Write all tables from the results, the paper's figures beside ours. Nothing is trained."""
     needs_torch()

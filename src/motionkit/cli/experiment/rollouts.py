@@ -7,14 +7,24 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import (
+    EXISTING_FILE,
+    Stages,
     json_option,
     model_option,
+    option,
     print_json,
-    progress_bar,
     remark,
     stdout_console,
 )
-from motionkit.cli.experiment.options import BODIES, LONG, SCENES, data_option, needs_torch, output_option
+from motionkit.cli.experiment.options import (
+    BODIES,
+    LONG,
+    SCENES,
+    data_option,
+    needs_torch,
+    output_option,
+    seeds_option,
+)
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.fitting_table import print_fitting
 from motionkit.files import write_json
@@ -27,9 +37,7 @@ LONG_SPARE, BODIES_SPARE = (8, 1, 7, 5, 3), (6, 5, 4, 3)
 @click.command("scenes")
 @click.argument("names", nargs=-1)
 @model_option
-@click.option(
-    "--seeds", default=3, show_default=True, type=click.IntRange(1, 100), help="Motions of each scene."
-)
+@seeds_option(3, "Motions of each scene.")
 @output_option(str(SCENES), folder=True)
 @json_option
 def scenes_command(
@@ -51,8 +59,10 @@ def scenes_command(
     name = "shipped" if model_path is None else model_path.stem
     folder = output / name
     facts = []
-    with progress_bar() as bar:
-        for scene in bar.track(scenes, description="making"):
+    with Stages() as show:
+        progress = show.count("making", len(scenes))
+        for number, scene in enumerate(scenes):
+            progress(number)
             made = [make_scene(model, scene, seed) for seed in range(seeds)]
             stem = folder / f"{scene.figure}-{scene.name}"
             write_bvh(stem.with_suffix(".bvh"), made[0].shown.motion)
@@ -82,7 +92,7 @@ def scenes_command(
 
 
 @click.command("long")
-@click.argument("model_path", metavar="MODEL", type=click.Path(exists=True, path_type=Path, dir_okay=False))
+@click.argument("model_path", metavar="MODEL", type=EXISTING_FILE)
 @data_option
 @click.option(
     "--type",
@@ -90,12 +100,8 @@ def scenes_command(
     multiple=True,
     help="Motion type, may be repeated. By default walking, running and a dance.",
 )
-@click.option(
-    "--seconds", default=20.0, show_default=True, type=FiniteRange(1, 600), help="Length of a roll-out."
-)
-@click.option(
-    "--seeds", default=1, show_default=True, type=click.IntRange(1, 100), help="Roll-outs of each type."
-)
+@option("--seconds", default=20.0, type=FiniteRange(1, 600), help="Length of a roll-out.")
+@seeds_option(1, "Roll-outs of each type.")
 @output_option(str(LONG), folder=True)
 def long_command(
     model_path: Path, data: Path, asked: tuple[str, ...], seconds: float, seeds: int, output: Path
@@ -129,12 +135,12 @@ def long_command(
             remark(f"{name} does not know {kind}, which is left out")
     tasks = [(kind, seed) for seed in range(seeds) for kind in kinds]
     made = []
-    with progress_bar() as bar:
-        task = bar.add_task("rolling out", total=len(tasks))
+    with Stages() as show:
+        count = show.count("rolling out", len(tasks))
         for number, (kind, seed) in enumerate(tasks):
 
             def progress(share: float, done: int = number) -> None:
-                bar.update(task, completed=done + share)
+                count(done + share)
 
             made.append(long_rollout(model, dataset, kind, seconds, seed, progress))
     for each in made[: len(kinds)]:
@@ -148,12 +154,10 @@ def long_command(
 
 
 @click.command("bodies")
-@click.argument("model_path", metavar="MODEL", type=click.Path(exists=True, path_type=Path, dir_okay=False))
+@click.argument("model_path", metavar="MODEL", type=EXISTING_FILE)
 @data_option
-@click.option("--type", "kind", default="walking", show_default=True, help="Motion type.")
-@click.option(
-    "--seeds", default=3, show_default=True, type=click.IntRange(1, 100), help="Roll-outs of each performer."
-)
+@option("--type", "kind", default="walking", help="Motion type.")
+@seeds_option(3, "Roll-outs of each performer.")
 @output_option(str(BODIES), folder=True)
 def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: Path) -> None:
     """Show the skeleton control signal of a MODEL with five performers, from short to long legs.
@@ -167,11 +171,8 @@ def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: 
     from motionkit.models.checkpoint import load_model
 
     model, dataset = load_model(model_path), Dataset(data)
-    with progress_bar() as bar:
-        task = bar.add_task("rolling out", total=100)
-        shown = show_bodies(
-            model, dataset, kind, seeds, lambda share: bar.update(task, completed=100 * share)
-        )
+    with Stages() as show:
+        shown = show_bodies(model, dataset, kind, seeds, show.share("rolling out"))
     facts = {
         "model": model_path.stem,
         "steps": model.card.get("steps"),

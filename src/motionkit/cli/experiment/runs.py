@@ -4,41 +4,37 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from motionkit.cli.common import (
-    STOPPED,
-    json_option,
-    print_json,
-    progress_bar,
-    remark,
-    stdout_console,
-)
+from motionkit.cli.common import STOPPED, Stages, json_option, option, print_json, remark, stdout_console
 from motionkit.cli.experiment.options import (
     data_option,
-    make_plan,
+    frames_option,
     needs_torch,
     plan_options,
     results_option,
+    seeds_option,
     set_option,
 )
 from motionkit.errors import MotionkitError
 from motionkit.names import counted
 
+if TYPE_CHECKING:
+    from motionkit.lab.paper.runs import Plan
+
 
 @click.command("list")
 @plan_options
 @json_option
-def list_command(as_json: bool, **options: Any) -> None:
+def list_command(plan: Plan, as_json: bool) -> None:
     """List what can be run: group, parameters in millions beside the paper's, and finished runs."""
-    needs_torch()
     from motionkit.lab.paper.runs import listed
 
-    plan = make_plan(options)
     asked = click.get_current_context().get_parameter_source("data") is not ParameterSource.DEFAULT
     rows, faults = listed(plan, asked or plan.data.exists())
     if faults:
@@ -72,58 +68,33 @@ def _print_list(rows: list[dict[str, Any]]) -> None:
 @click.command("run")
 @click.argument("names", nargs=-1, required=True)
 @plan_options
-@click.option(
-    "--seeds",
-    default=1,
-    show_default=True,
-    type=click.IntRange(1, 100),
-    help="Seeds of each network, up to the number that its table needs.",
-)
+@seeds_option(1, "Seeds of each network, up to the number that its table needs.")
 @click.option("--every-seed", is_flag=True, help="Give every variant all of --seeds.")
-@click.option(
-    "--jobs",
-    default=1,
-    show_default=True,
-    type=click.IntRange(1, 64),
-    help="Runs at a time, each on one thread.",
-)
-@click.option(
-    "--device", default="auto", show_default=True, help="Device to train on: auto, cpu, cuda, cuda:1 ..."
-)
+@option("--jobs", default=1, type=click.IntRange(1, 64), help="Runs at a time, each on one thread.")
+@option("--device", default="auto", help="Device to train on: auto, cpu, cuda, cuda:1 ...")
 @click.option(
     "--together", is_flag=True, help="Train networks in the same steps, which one GPU does much faster."
 )
 def run_command(
-    names: tuple[str, ...],
-    seeds: int,
-    every_seed: bool,
-    jobs: int,
-    device: str,
-    together: bool,
-    **options: Any,
+    names: tuple[str, ...], plan: Plan, seeds: int, every_seed: bool, jobs: int, device: str, together: bool
 ) -> None:
     """Run NAMES: experiments, groups or all. Finished runs are skipped, stopped runs continue.
 
     Each run trains on the data set, rolls out its test sequences, and writes one JSON file to the folder of results.
     The first seed of everything comes first.
     """
-    needs_torch()
     from motionkit.lab.paper.runs import run_all, tasks_of, unfinished
     from motionkit.lab.paper.together import run_together
 
-    plan = make_plan(options, device)
+    plan = replace(plan, device=device)
     tasks = tasks_of(plan, names, seeds, every_seed)
     left = unfinished(plan, tasks)
     remark(f"{counted(len(tasks), 'run')}, {len(tasks) - len(left)} of them done")
-    with progress_bar() as bar:
-        task = bar.add_task("running", total=100)
+    run = run_together if together else run_all
+    with Stages() as show:
         try:
             # Ctrl-C closes this at once, so that runs in other processes stop before the last line is printed.
-            with closing(
-                (run_together if together else run_all)(
-                    plan, left, jobs, remark, lambda share: bar.update(task, completed=100 * share)
-                )
-            ) as made:
+            with closing(run(plan, left, jobs, remark, show.share("running"))) as made:
                 for count, path in enumerate(made, 1):
                     remark(f"{count} of {len(left)}: wrote {path}")
         except KeyboardInterrupt:
@@ -134,14 +105,8 @@ def run_command(
 @click.command("shipped")
 @data_option
 @set_option
-@click.option(
-    "--frames",
-    default=240,
-    show_default=True,
-    type=click.IntRange(30, 10_000),
-    help="Frames that are made of a test sequence at most; those of the runs to compare with.",
-)
-@click.option("--seeds", default=3, show_default=True, type=click.IntRange(1, 100), help="Runs.")
+@frames_option("Frames that are made of a test sequence at most; those of the runs to compare with.")
+@seeds_option(3, "Runs.")
 @results_option
 def shipped_command(data: Path, selection: str, frames: int, seeds: int, results: Path) -> None:
     """Measure the bundled model as shipped on the test sequences, for the second table.
@@ -159,17 +124,8 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
         name: open_model(BUNDLED, reference)
         for name, reference in (("shipped", "auto"), ("shipped without references", "none"))
     }
-    with progress_bar() as bar:
-        task = bar.add_task("measuring", total=100)
-        files = run_shipped(
-            models,
-            dataset,
-            selection,
-            seeds,
-            frames,
-            results,
-            lambda share: bar.update(task, completed=100 * share),
-        )
+    with Stages() as show:
+        files = run_shipped(models, dataset, selection, seeds, frames, results, show.share("measuring"))
     for file in files:
         stdout_console().print(f"wrote {file}")
 

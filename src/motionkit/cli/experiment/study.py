@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import json_option, print_json, remark, seed_option, stdout_console
+from motionkit.cli.common import (
+    EXISTING_FILE,
+    EXISTING_FOLDER,
+    json_option,
+    option,
+    print_json,
+    remark,
+    seed_option,
+    stdout_console,
+)
 from motionkit.cli.experiment.options import output_option
 from motionkit.cli.fitting_table import print_fitting
 from motionkit.errors import MotionkitError
@@ -20,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @click.command("study")
-@click.argument("folder", type=click.Path(exists=True, path_type=Path, file_okay=False))
+@click.argument("folder", type=EXISTING_FOLDER)
 @output_option("study.html", folder=False)
 @seed_option()
 def study_command(folder: Path, output: Path, seed: int) -> None:
@@ -37,10 +46,8 @@ def study_command(folder: Path, output: Path, seed: int) -> None:
 
 
 @click.command("ttest")
-@click.argument(
-    "answers", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path, dir_okay=False)
-)
-@click.option("--model", default="TPTN", show_default=True, help="Model that is compared with all others.")
+@click.argument("answers", nargs=-1, required=True, type=EXISTING_FILE)
+@option("--model", default="TPTN", help="Model that is compared with all others.")
 @click.option(
     "--paper",
     "paper_table",
