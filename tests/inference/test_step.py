@@ -16,7 +16,7 @@ from motionkit.models.network import PartTransformer
 from motionkit.models.presets import PRESETS, preset
 from oracle.step import numpy_step
 
-PACKED = [name for name, make in PRESETS.items() if why_not_packable(make()) is None]
+PACKED = [name for name in PRESETS if why_not_packable(preset(name)) is None]
 WAYS = ["numpy", "kernel", "small"]
 VARIANTS: list[dict] = [
     {"layer_controls": False},

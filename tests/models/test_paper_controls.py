@@ -326,7 +326,7 @@ def make_loss(paper_folder: Path) -> Callable[..., float]:
     def loss(touching: bool) -> float:
         logits = torch.full((2, 24, 4), 30.0 if touching else -30.0)
         none = torch.zeros(1)
-        prediction = Prediction(batch.targets, none, none, none, logits, none, none)
+        prediction = Prediction(batch.targets, none, logits, none, none, none, none)
         return float(paper_foot_slip(prediction, feet, features, batch, space))
 
     return loss

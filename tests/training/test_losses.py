@@ -33,7 +33,7 @@ def prediction(mean: Tensor, logits: Tensor | None = None) -> Prediction:
     zeros = torch.zeros(B, T, 24)
     logits = torch.zeros(B, T, 4) if logits is None else logits
     return Prediction(
-        mean, torch.zeros_like(mean), zeros, zeros, logits, torch.zeros(2, B, T, 8), torch.zeros(2, B, T, 8)
+        mean, torch.zeros_like(mean), logits, zeros, zeros, torch.zeros(2, B, T, 8), torch.zeros(2, B, T, 8)
     )
 
 
@@ -333,9 +333,3 @@ def test_frames_beyond_the_end_of_a_window_do_not_count(dataset: Dataset, real) 
     a, b = terms_of(dataset, network, None, ended), terms_of(dataset, network, None, changed)
     for name in a:
         assert a[name].item() == pytest.approx(b[name].item(), rel=1e-5), name
-
-
-def test_batch_parts(real) -> None:
-    _, _, data = real
-    two = Batch(**{n: v[:2] for n, v in vars(data).items()})
-    assert torch.equal(two.part(1, 2).inputs, data.inputs[1:2])

@@ -13,11 +13,10 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.features.reference import EMBEDDING_COUNT, PoseEmbedding
+from motionkit.features.reference import PoseEmbedding
 from motionkit.metrics.value import MetricValue, need
 
 WINDOW, STRIDE = 60, 10  # frames
-WINDOW_VALUES = 2 * EMBEDDING_COUNT
 TYPE_PAIRS = 20  # random pairs of motions of each type for the multimodality (Guo et al. 2020)
 PAIRS = 300  # random pairs of windows for the diversity (Guo et al. 2020)
 

@@ -37,10 +37,6 @@ class Batch:
         """Return the batch on another device."""
         return Batch(**{name: value.to(device, non_blocking=True) for name, value in vars(self).items()})
 
-    def part(self, index: int, count: int) -> Batch:
-        """Return the index-th of count equal parts."""
-        return Batch(**{name: value.chunk(count)[index] for name, value in vars(self).items()})
-
 
 @dataclass(frozen=True, eq=False)
 class FeatureSpace:

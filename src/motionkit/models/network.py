@@ -24,21 +24,16 @@ from motionkit.models.weights import embedding_mask, foot_parts, part_columns
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
-    """The Gaussian of the next frame for every input frame, in normalised units.
+class Prediction(NextFrame):
+    """The Gaussian of the next frame for every input frame.
 
     Attributes:
-        mean, log_sigma: (..., 276) features.
-        trajectory_mean, trajectory_log_sigma: (..., 24) trajectory.
-        contact_logits: (..., 4) foot contacts.
+        trajectory_log_sigma: (..., 24).
         shallow, deep: (P, ..., D) features of the two module levels, for the consistency loss.
     """
 
-    mean: Tensor
-    log_sigma: Tensor
     trajectory_mean: Tensor
     trajectory_log_sigma: Tensor
-    contact_logits: Tensor
     shallow: Tensor
     deep: Tensor
 
@@ -159,9 +154,9 @@ class PartTransformer(Predictor):
         return Prediction(
             mean,
             log_sigma.clamp(low, high),
+            contact_logits,
             trajectory,
             trajectory_log_sigma.clamp(low, high),
-            contact_logits,
             shallow,
             deep,
         )
@@ -226,7 +221,7 @@ class NetworkStream:
     @torch.inference_mode()
     def step(
         self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor, latent_BZ: Tensor | None = None
-    ) -> Prediction | NextFrame:
+    ) -> NextFrame:
         """Predict the next frame from one new frame; shapes as in PartTransformer.forward, without T."""
         if self.recomputes:
             return self._recompute(x_BF, contacts_B4, controls_BC)
@@ -258,19 +253,14 @@ class NetworkStream:
             x = layer.step(x, controls, rings.keys[i], rings.values[i], slot, bias)
         return x if module.final_norm is None else module.final_norm(x)
 
-    def _recompute(self, x: Tensor, contacts: Tensor, controls: Tensor) -> Prediction | NextFrame:
+    def _recompute(self, x: Tensor, contacts: Tensor, controls: Tensor) -> NextFrame:
         row = torch.cat([x, contacts, controls], dim=-1)[:, None]
         self.past = torch.cat([self.past, row], dim=1)[:, -self.network.config.receptive_field :]
         self.frame += 1
         if self.frame <= self.unused:  # skip a whole window whose prediction nobody reads
-            return NextFrame(torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(contacts))
+            return NextFrame(torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(contacts), None)
         sizes = [FEATURE_COUNT, CONTACT_COUNT, self.network.control_size]
         return self.network.predict_last(*self.past.split(sizes, dim=-1))
-
-    def prime(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> None:
-        """Process frames without using their predictions."""
-        for t in range(x_BTF.shape[1]):
-            self.step(x_BTF[:, t], contacts_BT4[:, t], controls_BTC[:, t])
 
 
 def parameter_count(network: Predictor) -> int:

@@ -8,7 +8,8 @@ Shape legend: B batch, T frames, C controls, Z latent numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Protocol
 
 import torch
@@ -19,38 +20,27 @@ from motionkit.models.config import PredictorConfig
 from motionkit.models.weights import NetworkWeights
 
 
-class Drawn(Protocol):
-    """A stream's prediction: the Gaussian of the next frame, in normalised units."""
-
-    @property
-    def mean(self) -> Tensor:
-        """(B, 276) features."""
-        ...
-
-    @property
-    def log_sigma(self) -> Tensor:
-        """(B, 276)."""
-        ...
-
-    @property
-    def contact_logits(self) -> Tensor:
-        """(B, 4) foot contacts."""
-        ...
-
-    @property
-    def trajectory_mean(self) -> Tensor | None:
-        """(B, 24) trajectory of the next frame; None if the network does not predict it."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class NextFrame:
-    """A prediction of the next frame; attributes as in Drawn."""
+    """A prediction: the Gaussian of the next frame, in normalised units.
+
+    Attributes:
+        mean, log_sigma: (..., 276) features.
+        contact_logits: (..., 4) foot contacts.
+        trajectory_mean: (..., 24) trajectory of the next frame; None if the network does not predict it.
+    """
 
     mean: Tensor
     log_sigma: Tensor
     contact_logits: Tensor
-    trajectory_mean: Tensor | None = None
+    trajectory_mean: Tensor | None
+
+
+def stacked(frames: Sequence[NextFrame]) -> NextFrame:
+    """Return predictions (B, ...) of frames one after another as one with time (B, T, ...)."""
+    columns = ([getattr(each, field.name) for each in frames] for field in fields(NextFrame))
+    values: list[Any] = [None if each[0] is None else torch.stack(each, dim=1) for each in columns]
+    return NextFrame(*values)
 
 
 class PredictorStream(Protocol):
@@ -62,7 +52,7 @@ class PredictorStream(Protocol):
 
     def step(
         self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor, latent_BZ: Tensor | None = None
-    ) -> Drawn:
+    ) -> NextFrame:
         """Predict the next frame from a new one; without latent numbers, they are at their mean of zero."""
         ...
 

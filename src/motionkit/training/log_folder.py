@@ -26,11 +26,6 @@ class LogFolder:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._board = _board(self.folder)
 
-    @property
-    def board(self) -> bool:
-        """Whether TensorBoard is installed."""
-        return self._board is not None
-
     def __call__(self, event: TrainEvent) -> None:
         """Write the numbers of an event, if it has any."""
         if event.kind == "log":

@@ -21,7 +21,7 @@ from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_weights import why_not_packable
 from motionkit.inference.stepping import stepper
 from motionkit.models.batch import Batch, FeatureSpace
-from motionkit.models.predictor import Drawn, NextFrame, Predictor
+from motionkit.models.predictor import NextFrame, Predictor
 from motionkit.models.torch_rotations import orthonormal
 from motionkit.training.replay import Replayed
 
@@ -129,15 +129,16 @@ class PredictedInputs:
 
 def _frame_step(
     network: Predictor, batch: int, device: torch.device
-) -> Callable[[Tensor, Tensor, Tensor], Drawn]:
+) -> Callable[[Tensor, Tensor, Tensor], NextFrame]:
     """Return a function that predicts the next frame: the C step of synthesis on a CPU, else the network's stream."""
     if device.type != "cpu" or why_not_packable(network.config) is not None:
         return network.stream(batch).step
     state = stepper(network.weights(), batch)
     assert isinstance(state, NetworkStep)
-    made = NextFrame(*(torch.from_numpy(a) for a in (state.mean, state.log_sigma, state.contact_logits)))
+    mean, log_sigma, logits = map(torch.from_numpy, (state.mean, state.log_sigma, state.contact_logits))
+    made = NextFrame(mean, log_sigma, logits, None)
 
-    def step(x: Tensor, contacts: Tensor, controls: Tensor) -> Drawn:
+    def step(x: Tensor, contacts: Tensor, controls: Tensor) -> NextFrame:
         state.step(x.numpy(), contacts.numpy(), controls.numpy())
         return made
 

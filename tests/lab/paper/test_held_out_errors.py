@@ -59,9 +59,9 @@ class Copying(Predictor):
             return Prediction(
                 x,
                 sigma.expand_as(x),
+                torch.zeros(len(x), CONTACT_COUNT),
                 given,
                 torch.zeros_like(given),
-                torch.zeros(len(x), CONTACT_COUNT),
                 x,
                 x,
             )

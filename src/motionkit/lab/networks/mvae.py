@@ -27,7 +27,7 @@ from motionkit.lab.networks.baseline import (
     split_outputs,
 )
 from motionkit.models.batch import Batch, FeatureSpace
-from motionkit.models.predictor import NextFrame, Predictor
+from motionkit.models.predictor import NextFrame, Predictor, stacked
 
 UNROLLED = 8  # frames
 TEACHER, RAMP = 20.0 / 140.0, 20.0 / 140.0  # shares of the run on recorded poses, and until none is recorded
@@ -97,10 +97,8 @@ class MotionVae(Predictor):
             frames.append(self.decode(given, drawn))
             divergences.append(0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance))
             x = frames[-1].mean
-        names = ("mean", "log_sigma", "contact_logits", "trajectory_mean")
-        together = NextFrame(*(torch.stack([getattr(f, name) for f in frames], dim=1) for name in names))
         kl = masked_mean(torch.stack(divergences, dim=1), runs.mask)
-        return {**prediction_losses(together, runs), "kl": self.config.kl_weight * kl}
+        return {**prediction_losses(stacked(frames), runs), "kl": self.config.kl_weight * kl}
 
     def stream(self, batch: int) -> MemorylessStream:
         """Return a stream; the network keeps no state."""

@@ -23,7 +23,7 @@ from motionkit.lab.paper.batched_rollouts import Recorded, recorded, roll_out
 from motionkit.lab.statistics import rounded
 from motionkit.metrics.body_movement import euler_movement
 from motionkit.models.network import PartTransformer
-from motionkit.models.predictor import Drawn, Predictor
+from motionkit.models.predictor import NextFrame, Predictor, stacked
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.skeleton import PARENTS
 from motionkit.training.losses import gaussian_loss
@@ -173,33 +173,16 @@ def _window(whole: Recorded, first: int, known: int) -> tuple[Array, ...]:
 
 
 @torch.inference_mode()
-def _predicted(network: Predictor, w: _Windows) -> Drawn:
+def _predicted(network: Predictor, w: _Windows) -> NextFrame:
     """The predictions for all frames of windows: at once by part transformers, else frame by frame."""
     if isinstance(network, PartTransformer):
         return network(w.x, w.contacts, w.controls)
     stream = network.stream(len(w.x))
     made = [stream.step(w.x[:, t], w.contacts[:, t], w.controls[:, t]) for t in range(WINDOW)]
-    return _Said(
-        *(_stacked(made, name) for name in ("mean", "log_sigma", "contact_logits", "trajectory_mean"))
-    )
+    return stacked(made)
 
 
-@dataclass(frozen=True, eq=False)
-class _Said:
-    """Predictions of a stream, with time; attributes as of Drawn."""
-
-    mean: Any
-    log_sigma: Any
-    contact_logits: Any
-    trajectory_mean: Any
-
-
-def _stacked(made: Sequence[Drawn], name: str) -> Tensor | None:
-    values = [getattr(each, name) for each in made]
-    return None if values[0] is None else torch.stack(values, dim=1)
-
-
-def _likelihoods(made: Drawn, w: _Windows) -> dict[str, float]:
+def _likelihoods(made: NextFrame, w: _Windows) -> dict[str, float]:
     """Negative log-likelihoods of the Gaussians that are predicted; a sigma that is always the same predicts none."""
     pairs = {
         "nll": (made.mean, made.log_sigma, w.targets),
