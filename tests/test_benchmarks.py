@@ -20,8 +20,8 @@ LEAST = {
     "training_step": ("--batch", "1", "--window", "20", "--repeats", "1"),
     "synthesis": ("--characters", "1", "--steps", "2"),
 }
-# They need a browser or a video encoder (films, demo, pages), or datasets (gpu_job).
-ELSEWHERE = {"common", "demo", "films", "gpu_job", "pages"}
+# They need a browser or a video encoder (films, demo, pages), or datasets (gpu_job, verdicts).
+ELSEWHERE = {"common", "demo", "films", "gpu_job", "pages", "verdicts"}
 
 
 def test_no_script_is_left_out() -> None:

@@ -8,7 +8,7 @@ import pytest
 from motionkit.control.momentum import at_speed
 from motionkit.control.plan import plan_types
 from motionkit.control.planned_controls import FAR, GaitWays, way_of
-from motionkit.control.recording_choice import ENTRY, LEADING, RecordingChoice
+from motionkit.control.recording_choice import GAIT, LEADING, RecordingChoice
 from motionkit.control.script import TypePart
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, straight_trajectory
@@ -78,7 +78,7 @@ def test_recordings_of_a_stay_have_its_speed(model: MotionModel) -> None:
         clip, at = recordings.entry("walking", near, within=True) or found
         end = recordings.leaves("walking", clip, at)
         gone = np.linalg.norm(clip.ground[end - 1, :2] - clip.ground[at, :2]) / (end - 1 - at) * model.fps
-        assert gone == pytest.approx(recordings.pace, rel=ENTRY.pace[1])
+        assert gone == pytest.approx(recordings.pace, rel=GAIT.pace[1])
 
 
 def test_a_run_ends_in_the_step_that_the_performance_begins_with(model: MotionModel) -> None:

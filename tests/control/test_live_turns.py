@@ -40,8 +40,8 @@ def highest(kind: str, angle: float) -> float:
     return float(np.max(found))
 
 
-# Largest rise in cm above the gait's own. Measured over 60 turns of each kind: 2.5 at 45 degrees, 3.7 at 90, 4.2 at 180;
-# other processors turn at other phases, since a closed loop carries their last digits on.
+# Largest rise in cm above the gait's own. Measured over 60 turns of each kind: 2.5 at 45 degrees, 3.7 at 90 and 4.2 at
+# 180; other processors turn at other phases, since a closed loop carries their last digits on.
 @pytest.mark.parametrize(("degrees", "most"), [(45.0, 3.5), (90.0, 5.0), (180.0, 6.5)])
 @pytest.mark.parametrize("kind", ["walking", "running"])
 def test_one_foot_bears_weight_in_turns(kind: str, degrees: float, most: float) -> None:

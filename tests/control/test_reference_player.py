@@ -14,7 +14,7 @@ from motionkit.control.momentum import CHANGE
 from motionkit.control.motion_index import STATE_FRAMES
 from motionkit.control.opening import last_poses, last_speed
 from motionkit.control.plan import whole_performances
-from motionkit.control.recording_choice import ENTRY, drawn_evenly
+from motionkit.control.recording_choice import GAIT, drawn_evenly
 from motionkit.control.reference_controls import OWN_SHARE
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.script import TypePart
@@ -248,7 +248,7 @@ def test_gaits_are_entered_anywhere_else_still_clips_nowhere_and_calm_and_lively
     gait = ReferencePlayer(with_clips(tiny_model, {"walking": clips}, gaits=True))
     gait.begin("walking", NEAR)
     last = [frames[-1] for _, frames in gait.recordings.entry_frames("walking", clips)]
-    assert last == [len(clip) - round(ENTRY.gait_seconds * 60.0) - 1 for clip in clips]
+    assert last == [len(clip) - round(GAIT.seconds * 60.0) - 1 for clip in clips]
 
 
 @pytest.mark.parametrize("slow", [0.2, 0.9])
@@ -266,7 +266,7 @@ def test_gaits_leave_a_clip_before_it_brakes(tiny_model: MotionModel, slow: floa
         id(shown)
     ]
     brakes = slow < 0.5
-    assert entered[-1] < (200 if brakes else 300) - round(ENTRY.gait_seconds * 60.0)
+    assert entered[-1] < (200 if brakes else 300) - round(GAIT.seconds * 60.0)
     player._jump((shown, 100))
     assert player.leaves <= 200 if brakes else player.leaves == 300
     player.play(150)
@@ -280,7 +280,7 @@ def test_gaits_leave_a_clip_before_its_last_pose_is_held(tiny_model: MotionModel
     player = ReferencePlayer(with_clips(tiny_model, {"walking": [clip]}, gaits=True))
     player.begin("walking", NEAR)
     player._jump((player.model.types["walking"].reference_clips[0], 10))
-    assert player.leaves == 100 - ENTRY.gait_frames[1]
+    assert player.leaves == 100 - GAIT.ahead
 
 
 @pytest.mark.parametrize("strikes", [False, True])
@@ -308,7 +308,7 @@ def test_a_gait_that_is_slow_all_along_brakes_nowhere(tiny_model: MotionModel) -
     player = ReferencePlayer(with_clips(tiny_model, {"walking": [fast, slow]}, gaits=True))
     player.begin("walking", NEAR)
     for _, frames in player.recordings.entry_frames("walking", player.model.types["walking"].reference_clips):
-        assert frames == list(range(300 - round(ENTRY.gait_seconds * 60.0)))
+        assert frames == list(range(300 - round(GAIT.seconds * 60.0)))
 
 
 def test_gaits_go_where_their_recordings_went(tiny_model: MotionModel) -> None:

@@ -32,29 +32,39 @@ class EntrySettings:
     # A change draws few, because among many a standing body would get a frame in which nothing happens.
     candidates: int = 24
     candidates_within: int = 200
-    gait_clips: int = (
-        12  # of which a gait enters the frame most like the present pose: one may have no like stride
-    )
-    gait_frames: tuple[int, int] = (
-        5,
-        15,
-    )  # frames before an entry of a gait, and recorded ahead where it is left
     suited: float = 2.0  # performances that cost up to 1 plus this times the least cost are equally good
     # Quantiles of movement between which entry frames lie, and the share of the lower one that some frame of a clip
     # must exceed.
     movement: tuple[float, float] = (0.4, 0.8)
     still: float = 0.2
     seconds: float = 1.5  # of the clip that must follow an entry frame
-    gait_seconds: float = 0.75  # the same for gaits and standing, because most runs are recorded for a second
-    going: float = 0.6  # share of a gait's usual speed; a clip brakes where its next second is slower
     # Difference in speed (cm/s) between an entry of a strike or jump and the body, beyond the smallest one. A leap out
     # of a run needs the run.
     other_speed: float = 60.0
-    # Differences between the speed of a gait's recording and that of the stay, as shares of the latter: the largest at
-    # an entry, and the one at which the recording is left.
-    pace: tuple[float, float] = (0.05, 0.15)
     played: float = 0.5  # largest share already played of the seconds after an entry frame
     few_seconds: float = 12.0  # of recordings of a type that `few` keeps
+
+
+@dataclass(frozen=True)
+class GaitSettings:
+    """Where clips of gaits are entered and left, and those of standing entered; chosen by the motion of roll-outs.
+
+    Attributes:
+        seconds: of the clip that must follow an entry frame; most runs are recorded for a second.
+        going: share of a gait's usual speed; a clip brakes where its next second is slower.
+        pace: differences between the speed of the recording and that of the stay, as shares of the latter: the largest
+            at an entry, and the one at which the recording is left.
+        clips: clips of which the frame most like the present pose is entered, since one may have no such stride.
+        before: frames before an entry, for a pose alone does not tell which way the legs swing.
+        ahead: frames before the last pose is held at which a clip is left: references look ahead.
+    """
+
+    seconds: float = 0.75
+    going: float = 0.6
+    pace: tuple[float, float] = (0.05, 0.15)
+    clips: int = 12
+    before: int = 5
+    ahead: int = 15
 
 
 @dataclass(frozen=True)
@@ -79,7 +89,7 @@ class LeadingSettings:
     speed: float = 20.0
 
 
-ENTRY, MATCHING, LEADING = EntrySettings(), MatchingSettings(), LeadingSettings()
+ENTRY, GAIT, MATCHING, LEADING = EntrySettings(), GaitSettings(), MatchingSettings(), LeadingSettings()
 # Multiples of GOLDEN, modulo 1, fill 0 to 1 most evenly; multiples of the STEPS do nearly as well. GOLDEN leads from
 # choice to choice, and one of the STEPS from draw to draw; SIBLINGS successive choices share a step.
 GOLDEN, STEPS = (math.sqrt(5.0) - 1.0) / 2.0, tuple(math.sqrt(n) % 1.0 for n in (2.0, 3.0, 7.0, 11.0))
@@ -283,11 +293,10 @@ class RecordingChoice:
             return end + int(outside[0]) if len(outside) else len(clip)
         gait = self._gait_clip(kind, clip)
         end = int(gait.brakes[min(entered, len(clip) - 1)])
-        # References look ahead, and after the end of a recording its last pose is held: legs would stop in the air.
-        ahead = ENTRY.gait_frames[1]
-        end = min(end, max(clip.recorded - ahead, entered + ahead))
-        other = np.abs(gait.speeds[entered:end] - self.pace) > ENTRY.pace[1] * self.pace
-        least = round(ENTRY.gait_seconds * self.model.fps)
+        # Where the last pose is held, legs would stop in the air.
+        end = min(end, max(clip.recorded - GAIT.ahead, entered + GAIT.ahead))
+        other = np.abs(gait.speeds[entered:end] - self.pace) > GAIT.pace[1] * self.pace
+        least = round(GAIT.seconds * self.model.fps)
         other[:least] = False
         return entered + int(other.argmax()) if other.any() else end
 
@@ -341,7 +350,7 @@ class RecordingChoice:
         """Take the entry frame most like the present pose among those of a gait's clips, some of them drawn."""
         found = self._fresh(entries)
         drawn: list[tuple[float, ReferenceClip, int]] = []
-        for _ in range(ENTRY.gait_clips):
+        for _ in range(GAIT.clips):
             self.draws += 1
             clip, frames = found[drawn_evenly([len(frames) for _, frames in found], self.choice, self.draws)]
             costs = np.zeros(len(frames)) if near is None else state_costs(clip, frames, near)
@@ -361,14 +370,11 @@ class RecordingChoice:
         return _kept(found, gaps, most)
 
     def _at_pace(self, kind: str, found: Entries) -> Entries:
-        """Keep the entry frames of a gait after which its speed is that of the stay, as nearly as recorded.
-
-        A pose alone does not tell which way the legs swing, so frames with a few before them are preferred.
-        """
-        late = [(clip, [at for at in frames if at >= ENTRY.gait_frames[0]]) for clip, frames in found]
+        """Keep the entry frames of a gait after which its speed is that of the stay, as nearly as recorded."""
+        late = [(clip, [at for at in frames if at >= GAIT.before]) for clip, frames in found]
         found = [each for each in late if each[1]] or found
         gaps = [np.abs(self._gait_clip(kind, clip).speeds[frames] - self.pace) for clip, frames in found]
-        most = max(ENTRY.pace[0] * self.pace, min(float(gap.min()) for gap in gaps if len(gap)))
+        most = max(GAIT.pace[0] * self.pace, min(float(gap.min()) for gap in gaps if len(gap)))
         return _kept(found, gaps, most)
 
     def _fresh(self, found: Entries) -> Entries:
@@ -390,18 +396,18 @@ class RecordingChoice:
         """
         if clip not in self._gait_clips:
             fps, gait, length = self.model.fps, self._type(kind).gait, len(clip)
-            least, frames = min(round(ENTRY.gait_seconds * fps), length - 1), np.arange(length)
+            least, frames = min(round(GAIT.seconds * fps), length - 1), np.arange(length)
             brakes, entries = np.full(length, length), frames[: length - least]
             speeds = speeds_ahead(clip.ground, fps)
             if self.model.kind(kind) is MotionKind.GAIT and gait is not None:
                 # Skip the stop at the end of recorded runs.
-                going = ENTRY.going * gait.speed
+                going = GAIT.going * gait.speed
                 slow = np.append(np.flatnonzero(speeds < going), length)
                 until = slow[np.searchsorted(slow, frames)]
                 if (until - frames > least).any():
                     brakes, entries = until, np.flatnonzero(until - frames > least)
                 second = sliding_window_view(speeds, least)[entries]
-                steady = np.abs(second - second[:, :1]).max(axis=1) <= ENTRY.pace[1] * second[:, 0]
+                steady = np.abs(second - second[:, :1]).max(axis=1) <= GAIT.pace[1] * second[:, 0]
                 entries = entries[steady] if steady.any() else entries
             self._gait_clips[clip] = GaitClip(entries.tolist(), brakes, speeds)
         return self._gait_clips[clip]
