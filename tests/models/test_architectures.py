@@ -70,7 +70,7 @@ class EchoStream:
     def step(self, x: Tensor, contacts: Tensor, controls: Tensor, latent: Tensor | None = None) -> NextFrame:
         latent = torch.zeros(len(x), 1) if latent is None else latent
         mean = self.network.next(x, controls, latent)
-        return NextFrame(mean, torch.full_like(mean, -9.0), torch.zeros(len(x), CONTACT_COUNT))
+        return NextFrame(mean, torch.full_like(mean, -9.0), torch.zeros(len(x), CONTACT_COUNT), None)
 
 
 @pytest.fixture
