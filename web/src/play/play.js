@@ -99,6 +99,7 @@ export class Play {
     };
     this.#controls();
     this.#characters(hello.characters);
+    this.loading = true;
     Object.assign($("notice"), { className: "notice above", textContent: "Loading …" });
   }
 
@@ -130,6 +131,7 @@ export class Play {
   #lost(fault) {
     const why = fault ? `: ${fault}` : "";
     $("notice").textContent = this.hello ? `The connection is lost${why}. Trying again …` : "No answer from the server. Trying again …";
+    this.loading = false;
     Object.assign($("notice"), { className: "notice", hidden: false });
   }
 
@@ -206,7 +208,10 @@ export class Play {
     const around = this.link.around(moment / 1000);
     if (around) this.#pose(around);
     if (this.own?.figure.visible) this.#camera(passed);
-    if ((this.own?.figure.visible || !this.chosen) && !$("notice").hidden) $("notice").hidden = true;
+    if (this.loading && (this.own?.figure.visible || !this.chosen)) {
+      this.loading = false;
+      $("notice").hidden = true;
+    }
     if (this.stage.draw()) {
       this.shownFrames += 1;
       this.#label();
