@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 FRAMES = 300
-START = "motionkit.own?.root && motionkit.link.world.frame > 5"
+START = "window.motionkit?.own?.root && motionkit.link.world.frame > 5"
 
 
 @pytest.fixture(scope="module")
