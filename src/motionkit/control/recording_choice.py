@@ -338,21 +338,24 @@ class RecordingChoice:
     def _drawn(self, entries: Entries, count: int, near: Array | None) -> tuple[ReferenceClip, int]:
         """Draw some entry frames that have not been played, and take the one most like the present pose."""
         found = self._fresh(entries)
-        self.draws += 1
-        clip, frames = found[drawn_evenly([len(frames) for _, frames in found], self.choice, self.draws)]
+        clip, frames = self._next_clip(found)
         frames = self.random.sample(frames, min(count, len(frames)))
         if near is None:
             return clip, frames[0]
         states = np.stack([pose_state(clip, at) for at in frames])
         return clip, frames[int(np.square(states - near).sum(axis=(1, 2)).argmin())]
 
+    def _next_clip(self, found: Entries) -> tuple[ReferenceClip, list[int]]:
+        """Draw a clip with its entry frames, in proportion to their number."""
+        self.draws += 1
+        return found[drawn_evenly([len(frames) for _, frames in found], self.choice, self.draws)]
+
     def _strides(self, entries: Entries, near: Array | None) -> tuple[ReferenceClip, int]:
         """Take the entry frame most like the present pose among those of a gait's clips, some of them drawn."""
         found = self._fresh(entries)
         drawn: list[tuple[float, ReferenceClip, int]] = []
         for _ in range(GAIT.clips):
-            self.draws += 1
-            clip, frames = found[drawn_evenly([len(frames) for _, frames in found], self.choice, self.draws)]
+            clip, frames = self._next_clip(found)
             costs = np.zeros(len(frames)) if near is None else state_costs(clip, frames, near)
             drawn.append((float(costs.min()), clip, frames[int(costs.argmin())]))
         _, clip, at = min(drawn, key=lambda each: each[0])

@@ -227,10 +227,11 @@ def _distances(
         if trial.matched.knows(*(part.type for part in each.path.parts)):
             other = trial.matched.along(each.path)
             away = trajectory_distance(other.positions[:, 0, [0, 2]], each.path.points).mean
-            matched = away, slip([other])
+            slips_matched = slip([other])
+            matched = away, slips_matched
             compared.append(each.name)
             further += [each.name] if found.mean > away else []
-            sliding += [each.name] if slips > slip([other]) else []
+            sliding += [each.name] if slips > slips_matched else []
         ends = f"{found.finished} of {len(walks)}"
         rows.append((
             each.name, found.mean, found.largest, found.raw, ends, found.seconds, found.coverage, found.flight, slips,
