@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,14 +34,18 @@ class FakeGraph:
             static.copy_(value)
 
 
-@contextmanager
-def nothing(_: object) -> Iterator[None]:
-    yield
+captured_on: list[object] = []
+numbers = itertools.count()
+
+
+def new_stream(device: object = None) -> SimpleNamespace:
+    return SimpleNamespace(wait_stream=lambda _: None, number=next(numbers))
 
 
 @contextmanager
-def capture(graph: FakeGraph, capture_error_mode: str) -> Iterator[None]:
+def capture(graph: FakeGraph, stream: object, capture_error_mode: str) -> Iterator[None]:
     """A capture that does the work, and takes back what it changed, because a GPU's does not do it."""
+    captured_on.append(stream)
     before = [x.detach().clone() for x in graph.owner.state()]
     yield
     with torch.no_grad():
@@ -49,13 +54,22 @@ def capture(graph: FakeGraph, capture_error_mode: str) -> Iterator[None]:
 
 
 def fake_cuda() -> SimpleNamespace:
-    stream = SimpleNamespace(wait_stream=lambda _: None)
+    streams = [new_stream()]  # the default one
+    captured_on.clear()
+
+    @contextmanager
+    def entered(stream: object) -> Iterator[None]:
+        streams.append(stream)
+        yield
+        streams.pop()
+
     return SimpleNamespace(
         CUDAGraph=FakeGraph,
         graph=capture,
-        stream=nothing,
-        Stream=lambda _: stream,
-        current_stream=lambda _: stream,
+        stream=entered,
+        Stream=new_stream,
+        default_stream=lambda _: streams[0],
+        current_stream=lambda _: streams[-1],
         get_rng_state=lambda _: torch.get_rng_state(),
         set_rng_state=lambda state, _: torch.set_rng_state(state),
     )
@@ -111,3 +125,15 @@ def test_a_run_by_graphs_is_the_same_run(
     train(dataset_folder, tmp_path / "plain.safetensors", options, device="cpu")
     assert losses_of(tmp_path / "graphs.safetensors") == losses_of(tmp_path / "plain.safetensors")
     assert same_weights(tmp_path / "graphs.safetensors", tmp_path / "plain.safetensors")
+
+
+def test_graphs_that_run_together_share_no_stream(graphs: None) -> None:
+    x, own = torch.ones(2), [new_stream(), new_stream()]
+    for stream in own:
+        with replay.cuda.stream(stream):
+            Replayed(lambda x: (2.0 * x,))(x)
+    assert captured_on == own
+    Replayed(lambda x: (2.0 * x,))(x)
+    Replayed(lambda x: (2.0 * x,))(x)
+    *_, third, fourth = captured_on
+    assert third != fourth and replay.cuda.default_stream(None) not in captured_on

@@ -21,6 +21,9 @@ class Replayed:
     The function must launch the same kernels at every call, so it must not read values of tensors in Python. Gradients
     stay in the same memory, so it should set them to None at its beginning.
 
+    Graphs that run at the same time need a stream of their own each, current at their first call: graphs captured on
+    one stream share the memory in which cuBLAS adds up its products.
+
     Args:
         state: returns the tensors that the function changes, such as weights. Calls before the capture do not count:
             these tensors get their values back, and those that are made meanwhile become zero.
@@ -29,6 +32,7 @@ class Replayed:
     def __init__(self, work: Work, state: Callable[[], list[Tensor]] = list) -> None:
         self.work, self.state = work, state
         self._graph: cuda.CUDAGraph | None = None
+        self._stream: cuda.Stream | None = None
         self._inputs: list[Tensor] = []
         self._outputs: tuple[Tensor, ...] = ()
 
@@ -49,19 +53,21 @@ class Replayed:
         random_state = cuda.get_rng_state(device)
         before = {id(x): x.detach().clone() for x in self.state()}
         self._inputs = [x.detach().clone() for x in inputs]
-        stream = cuda.Stream(device)
-        stream.wait_stream(cuda.current_stream(device))
-        with cuda.stream(stream):
+        current = cuda.current_stream(device)
+        # The default stream cannot be captured.
+        self._stream = cuda.Stream(device) if current == cuda.default_stream(device) else current
+        self._stream.wait_stream(current)
+        with cuda.stream(self._stream):
             for _ in range(WARM_UP):
                 self.work(*self._inputs)
-        cuda.current_stream(device).wait_stream(stream)
+        current.wait_stream(self._stream)
         cuda.set_rng_state(random_state, device)
         with torch.no_grad():
             for x in self.state():
                 x.copy_(before[id(x)]) if id(x) in before else x.zero_()
         self._graph = cuda.CUDAGraph()
         # Other threads may go on, such as the one that pins the memory of coming windows.
-        with cuda.graph(self._graph, capture_error_mode="thread_local"):
+        with cuda.graph(self._graph, stream=self._stream, capture_error_mode="thread_local"):
             self._outputs = self.work(*self._inputs)
 
 

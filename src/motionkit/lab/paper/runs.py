@@ -329,7 +329,10 @@ def result_of(plan: Plan, each: Variant, seed: int, dataset: Dataset) -> dict[st
         "curve": _curve(lines),
         **tested(plan, each, seed, dataset, network),
         **measured(dataset, result_file(plan, each, seed), plan.longest),
-        "timing": {"seconds": round(lines[-1]["seconds"], 1), "machine": machine(plan.device)},
+        "timing": {
+            "seconds": round(lines[-1]["seconds"], 1),
+            "machine": model.card.get("machine", machine(plan.device)),  # it may be tested on another
+        },
     }
 
 

@@ -27,6 +27,7 @@ from motionkit.lab.paper.runs import (
     Plan,
     Task,
     check_writable,
+    machine,
     model_file,
     options_of,
     run_all,
@@ -262,7 +263,7 @@ def _write(plan: Plan, each: Variant, trained: Stack, dataset: Dataset) -> None:
         network = trained.learners[0].network
         own = build(network.config, network.control_size)
         own.load_state_dict(average)
-        card = {"options": options.to_dict(), "steps": plan.steps}
+        card = {"options": options.to_dict(), "steps": plan.steps, "machine": machine(plan.device)}
         (path.with_suffix(".run")).mkdir(parents=True, exist_ok=True)
         save_model(path, bundle_model(own.weights(), dataset, card, references=False), False)
         with atomic_write(path.with_suffix(".run") / "log.jsonl", "w") as file:
