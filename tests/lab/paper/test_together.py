@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
 
 import pytest
+from torch import Tensor
 
 from lab.paper.test_runs import plan
 from motionkit.lab.paper import together
 from motionkit.lab.paper.runs import Plan, model_file, options_of, read_result, result_file, run_one
 from motionkit.lab.paper.variants import variant
+from motionkit.models.batch import Batch
 from motionkit.models.checkpoint import load_model
+from motionkit.training.progress import Progress
 
 __all__ = ["plan"]
 
@@ -57,6 +61,24 @@ def test_minutes_end_all_at_one_step(small: Plan) -> None:
     assert made.steps and made.folder.endswith(f"-{made.steps}")
     for each, seed in tasks:
         assert model_file(made, each, seed).exists()
+
+
+def test_batches_stay_until_all_streams_have_read_them(small: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A GPU puts the next batch where an earlier one was freed, while other streams still copy it."""
+    read: list[weakref.ref[Tensor]] = []
+    step = together.Stack.step
+
+    def reading(stack: together.Stack, batch: Batch, at: Progress, logs: bool) -> None:
+        read.append(weakref.ref(batch.inputs))
+        step(stack, batch, at, logs)
+
+    monkeypatch.setattr(together.Stack, "step", reading)
+    tasks = [(variant(name), 0) for name in ("TPTN", "w/o-OS")]
+    alive: list[bool] = []
+    together.train_all(
+        small, tasks, lambda _: None, lambda _: alive.extend(x() is not None for x in read[-2:])
+    )
+    assert len(read) > 2 and alive and all(alive)
 
 
 def test_floors_and_other_networks_come_after(small: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

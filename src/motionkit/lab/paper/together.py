@@ -137,8 +137,9 @@ def train_together(
     began = time.monotonic()
     while at.share < 1.0:
         logs = at.step % logged == 0 or at.step + 1 == options.steps
-        for batches, group in groups:
-            batch = next(batches)
+        # Kept until the streams of all have been waited for: memory that is free takes the next batch at once.
+        given = [next(batches) for batches, _ in groups]
+        for batch, (_, group) in zip(given, groups, strict=True):
             for each in group:
                 each.step(batch, at, logs)
         for stream in (stream for each in stacks for stream in each.streams):
