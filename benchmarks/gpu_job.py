@@ -44,7 +44,7 @@ from motionkit.arrays import Floats
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.features.encode import encode_motion
 from motionkit.lab.paper.datasets import select
-from motionkit.lab.paper.runs import Plan, options_of, run_one
+from motionkit.lab.paper.runs import Plan, options_of, read_result, run_one
 from motionkit.lab.paper.together import stack, train_all, train_together
 from motionkit.lab.paper.variants import VARIANTS, variant
 from motionkit.motion.motion import Motion
@@ -251,8 +251,17 @@ def tests(job: Path, arguments: argparse.Namespace) -> None:
             print(f"{number} of {len(works)}: {fault or each.result()}", flush=True)
 
 
-def _tested(plan: Plan, name: str, seed: int) -> Path:
-    return run_one(plan, variant(name), seed, lambda text: None, lambda share: None, trained=True)
+def _tested(plan: Plan, name: str, seed: int) -> str:
+    """Test a network, and return its first loss beside that on a processor, which differs by dropout alone."""
+    file = run_one(plan, variant(name), seed, lambda text: None, lambda share: None, trained=True)
+    step, loss = read_result(file)["curve"][0]
+    if step != 1:
+        return str(file)
+    dataset, device = select(plan.data, plan.selection), torch.device("cpu")
+    options = with_changes(options_of(replace(plan, steps=1), variant(name), seed), {"precision": "float32"})
+    alone = stack(dataset, [options], device)
+    train_together(dataset, [alone], device, lambda share: None)
+    return f"{file}: first loss {loss:.1f}, on a processor {float(alone.log[0][2]['total']):.1f}"
 
 
 def bundled(job: Path, arguments: argparse.Namespace) -> None:
