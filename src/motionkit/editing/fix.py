@@ -143,7 +143,7 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
 
 
 class _Pass(NamedTuple):
-    """What one pass of all repairs made: the motion, the glitches that it mended, notes, and why steps are taken back."""
+    """What one pass of all repairs made: the motion, the glitches that it mended, notes, and why steps were refused."""
 
     motion: Motion
     glitches: list[tuple[int, str]]
