@@ -231,8 +231,8 @@ class Outputs:
             more = f" and {counted(len(self.replaced) - 1, 'other file')}" if len(self.replaced) > 1 else ""
             remark(f"replaced {self.replaced[0]}{more}")
         if self.as_json:
-            more = {"view": self.page} if self.page else {}
-            print_json(facts | ({"taken": taken_facts(read)} if read else {}) | more)
+            page = {"view": self.page} if self.page else {}
+            print_json(facts | ({"taken": taken_facts(read)} if read else {}) | page)
             return
         for line in (*lines, *taken_lines(read or {})):
             self.console.print(line)

@@ -176,7 +176,7 @@ def filled(values: NDArray[np.float64], channels: list[str], notes: Notes) -> ND
 
 def filled_turns(turns: NDArray[np.float64], notes: Notes) -> NDArray[np.float64]:
     """Quaternions (T, J, 4) filled likewise, each as a whole, the shorter way; without any, unturned."""
-    known = np.isfinite(turns).all(axis=-1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(turns).all(axis=-1))
     if known.all():
         return turns
     turns = np.where(known[..., None], turns, np.nan)
