@@ -86,13 +86,15 @@ def _print(found: Diagnosis, verbose: bool) -> None:
 def _verdict(found: Diagnosis) -> str:
     """Whether the files can be used, in one line."""
     usable, count = sum(not clip.fault for clip in found.clips), len(found.clips)
+    if not count:
+        return "no file is listed"
     if usable < count:
         files = f"{usable} of {counted(count, 'file')}" if usable else "none of the files"
         verdict = f"{files} can be used" if count > 1 else "the file cannot be used"
     else:
         verdict = f"all {count} files can be used" if count > 1 else "the file can be used"
     poses = sum(POSE in clip.notes for clip in found.clips)
-    if count and poses == count:
+    if poses == count:
         what = "it is a pose" if count == 1 else "all are poses"
         return f"{verdict}, but {what}, too short to train on: for --rig, --keys, view and convert"
     seconds = sum(clip.seconds for clip in found.clips)
