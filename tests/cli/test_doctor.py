@@ -12,8 +12,11 @@ from motionkit.data.diagnosis import diagnose
 
 
 def test_a_folder_is_described(motionkit, clips_folder: Path) -> None:
-    said = motionkit("doctor", clips_folder)
+    said = motionkit("doctor", clips_folder, "--verbose")
     assert said.code == 0 and "labels.csv" in said.out and "warning:" in said.out
+    short = motionkit("doctor", clips_folder).out.splitlines()
+    assert short[0].startswith("all 8 files can be used; ") and " warning" in short[0]
+    assert set(short[:-1]) <= set(said.out.splitlines()) and len(short) < said.out.count("\n")
     value = json.loads(motionkit("doctor", clips_folder, "--json").out)
     assert len(value["clips"]) == 8 and {"name", "fps", "rig", "unit", "up", "floor"} <= set(
         value["clips"][0]
@@ -44,7 +47,9 @@ def test_a_pose_is_no_fault(motionkit, clips_folder: Path, tmp_path: Path) -> No
     (tmp_path / "pose.bvh").write_text("\n".join(f"{head}MOTION{rows}".split("\n")[: head.count("\n") + 5]))
     (tmp_path / "bones.bvh").write_text(head)
     said = motionkit("doctor", tmp_path)
-    assert said.code == 0 and "note: a pose, too short to train on (2 clips)" in said.out
+    assert said.code == 0 and said.out.startswith(
+        "all 2 files can be used, but all are poses, too short to train on"
+    )
     for name in ("pose.bvh", "bones.bvh"):
         said = motionkit("retarget", clips_folder / "walk_01.bvh", "--rig", name, "-o", "on.bvh")
         assert said.code == 0, said.err
@@ -90,9 +95,9 @@ def test_names_of_files_stay_whole(
             monkeypatch.setattr(PlainConsole, "is_terminal", True)
             console.width = columns
         monkeypatch.setattr(doctor, "stdout_console", lambda: console)
-        doctor._print(diagnose([tmp_path]))
+        doctor._print(diagnose([tmp_path]), verbose=True)
         lines = file.getvalue().splitlines()
-    table = lines[: lines.index("")]
+    table = lines[1 : lines.index("")]
     if columns:
         assert max(map(len, table)) <= columns and "…" not in file_text(table)
         width = table[0].index("type")

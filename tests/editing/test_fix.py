@@ -86,6 +86,14 @@ def test_a_step_that_makes_it_worse_is_taken_back(clip: Motion, monkeypatch: pyt
     assert fixed.notes[0].startswith("trembling: taken back, because it made it worse")
 
 
+def test_feet_that_are_held_stand_still_in_the_table(clip: Motion) -> None:
+    """Not so by the share of low toes that are fast, which counts landings."""
+    fixed = fix_motion(clip, replace(NONE, sliding=True))
+    before, after = row(fixed, "speed of standing toes")
+    assert before > 2.0 and after < 0.2 * before
+    assert not fixed.notes
+
+
 def test_trembling_is_filtered(clip: Motion) -> None:
     noise = 0.01 * np.random.default_rng(0).standard_normal((*clip.local_rotations.shape[:2], 3))
     shaken = quat_multiply(clip.local_rotations, expmap_to_quat(noise.astype(np.float32)))

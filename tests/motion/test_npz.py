@@ -58,9 +58,10 @@ def test_poses_of_smpl(tmp_path: Path, joints: int, z_up: bool, kind: str, left:
         motion = read_motion(tmp_path / "a.npz")
         made, report = retarget_file(tmp_path / "a.npz")
     assert told == [f"a.npz: read with poses of {kind} on its mean body; {left} left out"] * 2
+    up = "+Z up, and stays so in BVH" if z_up else "+Y up"
     assert (
         taken(motion)
-        == f"unit: detected from leg length: metres; {'+Z up, and stays so in BVH' if z_up else '+Y up'}"
+        == f"40 frames at 60 fps; unit: detected from leg length: metres; {up}; 22 joints found by name (no Neck1)"
     )
     assert len(motion.skeleton) == (24 if joints == 24 else 22) and motion.fps == 60.0
     assert np.allclose(motion.root_positions - arrays["trans"], motion.skeleton.offsets[0], atol=1e-6)
@@ -109,6 +110,23 @@ def test_values_without_a_number_are_filled_as_in_other_files(tmp_path: Path) ->
         whole, holes = (read_motion(tmp_path / f"{name}.npz") for name in ("whole", "holes"))
     assert "7 values without a number filled from neighbouring frames" in notes[-1]
     assert np.abs(motion_kinematics(holes)[1] - motion_kinematics(whole)[1]).max() < 0.05, "metres"
+    with reading(strict=True), pytest.raises(MotionkitError, match="a value that is not a number"):
+        read_motion(tmp_path / "holes.npz")
+
+
+def test_values_without_a_number_of_own_archives_are_filled(tmp_path: Path) -> None:
+    walked = make_walk(20)
+    write_motion(tmp_path / "whole.npz", walked)
+    with np.load(tmp_path / "whole.npz") as found:
+        arrays = dict(found)
+    arrays["local_rotations"][8:] *= -1.0  # the same turns
+    arrays["local_rotations"][7, 5, 2] = arrays["root_positions"][3, 1] = np.nan
+    np.savez(tmp_path / "holes.npz", **arrays)
+    notes: list[str] = []
+    with reading(hear=notes.append):
+        holes = read_motion(tmp_path / "holes.npz")
+    assert notes == ["holes.npz: read with 5 values without a number filled from neighbouring frames"]
+    assert np.abs(motion_kinematics(holes)[1] - motion_kinematics(walked)[1]).max() < 2.0
     with reading(strict=True), pytest.raises(MotionkitError, match="a value that is not a number"):
         read_motion(tmp_path / "holes.npz")
 

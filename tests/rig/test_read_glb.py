@@ -117,6 +117,28 @@ def test_accessors_of_every_kind(tmp_path: Path, output: Callable[[Maker], int])
     assert np.abs(motion.skeleton.offsets - rest.offsets * 100.0).max() < 1e-3
 
 
+@pytest.mark.parametrize("how", ["LINEAR", "CUBICSPLINE"])
+def test_keys_without_a_number_are_filled(tmp_path: Path, how: str) -> None:
+    turns = TURNS.copy()
+    turns[1, 2] = np.nan
+    turns[2] *= -1.0  # the same turn
+    still = np.zeros_like(turns)
+    spline = np.stack([still, np.abs(turns), still], axis=1).reshape(9, 4)
+    maker = Maker()
+    maker.clip("turn", maker.floats(spline if how == "CUBICSPLINE" else turns, "VEC4"), how)
+    path, notes = maker.write(tmp_path / "a.glb"), list[str]()
+    with reading(hear=notes.append):
+        motion = read_glb(path)
+    filled = 1 if how == "CUBICSPLINE" else 4  # or the quaternion as a whole
+    words = "value" if filled == 1 else "values"
+    assert notes == [f"a.glb: read with {filled} {words} without a number filled from neighbouring frames"]
+    arm = motion.skeleton.names.index("LeftArm")
+    wanted = [[HALF, 0, HALF, 0], [1, 0, 0, 0]][how == "LINEAR"]
+    assert float(quat_angle(motion.local_rotations[1, arm], np.float32(wanted))) < 1e-3
+    with reading(strict=True), pytest.raises(MotionkitError, match="not finite"):
+        read_glb(path)
+
+
 def test_which_animation_is_never_guessed(tmp_path: Path) -> None:
     maker = Maker()
     for name in ("wave", "point"):

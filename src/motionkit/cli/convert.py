@@ -46,7 +46,6 @@ def command(
     """
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample
-    from motionkit.rig.upright import taken
 
     for clip_name, file in _targets(source, target):
         outputs = Wanted(file, False, as_json, name, alone).files("", [source])
@@ -55,18 +54,16 @@ def command(
         with naming(source):
             motion = root_motion.applied(motion)
             outputs.write(replace(clip.with_motion(motion), body=body))
-        joints, frames, took = len(motion.skeleton), len(motion), taken(clip.motion)
+        joints, frames = len(motion.skeleton), len(motion)
         facts = {
             "file": source,
             "output": file,
             "frames": frames,
             "fps": motion.fps,
             "joints": joints,
-            "taken": took,
         }
-        outputs.report(
-            facts, [f"wrote {file}: {joints} joints, {frames} frames at {motion.fps:g} fps", f"  {took}"]
-        )
+        wrote = f"wrote {file}: {joints} joints, {frames} frames at {motion.fps:g} fps"
+        outputs.report(facts, [wrote], {source: clip.motion})
 
 
 def _targets(source: Path, target: Path) -> list[tuple[str | None, Path]]:

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
     from motionkit.data.diagnosis import ClipFacts, Diagnosis
 
-SHOWN_CLIPS, SHOWN_SKIPS, SHOWN_NOTES = 60, 8, 8  # lines of each kind; --json lists all
+SHOWN_CLIPS, SHOWN_SKIPS, SHOWN_NOTES, SHOWN_RIGS = 60, 8, 8, 12  # lines of each kind; --json lists all
+POSE = "a pose, too short to train on"  # as data.diagnosis notes it, which is slow to import
 NO_LIMIT = 1000  # columns, if the output is not a terminal
 
 
@@ -35,13 +36,17 @@ NO_LIMIT = 1000  # columns, if the output is not a terminal
 @animations_option
 @labels_option("CSV table of segments, as for preprocess; by default labels.csv in or just above the data.")
 @clip_options
+@click.option(
+    "--verbose", is_flag=True, help="Also print every clip, every type, and notes of how files were read."
+)
 @json_option
-def command(data: tuple[Path, ...], labels: Path | None, as_json: bool) -> None:
+def command(data: tuple[Path, ...], labels: Path | None, verbose: bool, as_json: bool) -> None:
     """Look at clips (.bvh, .amc, .npz, .glb, .vrm, .fbx) and folders of them (DATA) before training.
 
-    Prints for each clip its rig, unit, frame rate, up axis, floor, glitches and motion type, and for each type
-    how much there is to learn from and what looks wrong: clips that never leave the ground where most of their
-    type do, types whose clips fall into two groups, clips that move like another type, types that cannot be learnt.
+    Prints whether they can be used, their rigs with unit and up axis, and what looks wrong: clips that never leave the
+    ground where most of their type do, types whose clips fall into two groups, clips that move like another type,
+    types that cannot be learnt. --verbose adds rate, floor, glitches and type of each clip, and how much there is of
+    each type.
     Files that a label table does not list are skipped, as by preprocess. The exit code is 1 if a file cannot be used.
     """
     from motionkit.data.diagnosis import diagnose
@@ -53,7 +58,7 @@ def command(data: tuple[Path, ...], labels: Path | None, as_json: bool) -> None:
 
         print_json(asdict(found))
     else:
-        _print(found)
+        _print(found, verbose)
     faults = [clip for clip in found.clips if clip.fault]
     if not found.clips:
         raise MotionkitError(f"{found.labels}: lists none of the {len(found.skipped)} files")
@@ -61,47 +66,79 @@ def command(data: tuple[Path, ...], labels: Path | None, as_json: bool) -> None:
         raise MotionkitError(f"{len(faults)} of {len(found.clips)} files cannot be used")
 
 
-def _print(found: Diagnosis) -> None:
-    from motionkit.cli.console import make_table
-
+def _print(found: Diagnosis, verbose: bool) -> None:
+    """Print the verdict and what needs doing; with verbose, every clip, type and note before that."""
     out = stdout_console()
     if not out.is_terminal:
         out.width = NO_LIMIT
-    if found.types:
-        _print_clips([clip for clip in found.clips[:SHOWN_CLIPS] if not clip.fault], out)
+    out.print(_verdict(found))
+    usable = [clip for clip in found.clips if not clip.fault and clip.rig]
+    if verbose and found.types:
+        _print_tables(found, out)
+    elif usable:
+        _print_rigs(usable, out)
+    for line in _lines(found, verbose):
+        out.print(line)
+    if not verbose and usable:
+        out.print("--verbose shows every clip, type and note", style="dim")
+
+
+def _verdict(found: Diagnosis) -> str:
+    """Whether the files can be used, in one line."""
+    usable, count = sum(not clip.fault for clip in found.clips), len(found.clips)
+    if not count:
+        return "no file is listed"
+    if usable < count:
+        files = f"{usable} of {counted(count, 'file')}" if usable else "none of the files"
+        verdict = f"{files} can be used" if count > 1 else "the file cannot be used"
+    else:
+        verdict = f"all {count} files can be used" if count > 1 else "the file can be used"
+    poses = sum(POSE in clip.notes for clip in found.clips)
+    if poses == count:
+        what = "it is a pose" if count == 1 else "all are poses"
+        return f"{verdict}, but {what}, too short to train on: for --rig, --keys, view and convert"
+    seconds = sum(clip.seconds for clip in found.clips)
+    long = f"{seconds / 60:.1f} minutes" if seconds >= 60 else f"{seconds:.1f} s"
+    warned = sum(line.startswith("warning: ") for line in found.lines)
+    wrong = f"; {counted(warned, 'warning')}" if warned else "; nothing looks wrong"
+    return verdict + (f"; {long} of motion" if usable else "") + (wrong if usable == count else "")
+
+
+def _print_tables(found: Diagnosis, out: PlainConsole) -> None:
+    """Print a row for each clip, the rigs, and a row for each type."""
+    from motionkit.cli.console import make_table
+
+    _print_clips([clip for clip in found.clips[:SHOWN_CLIPS] if not clip.fault], out)
     if len(found.clips) > SHOWN_CLIPS:
         out.print(f"... and {len(found.clips) - SHOWN_CLIPS} more files; --json lists all")
-    if found.types:
-        rows = [
-            (t.name, f"{t.clips}", f"{t.seconds / 60:.2f}", f"{t.speed / 100:.2f}", f"{t.in_the_air:.0%}")
-            for t in found.types
-        ]
-        out.print()
-        out.print(make_table(("type", "clips", "minutes", "m/s", "time in jumps"), rows))
-        out.print()
-    out.print(f"types from {found.labels}" if found.labels else "types from folder and file names")
-    for line in _lines(found):
-        out.print(line)
+    rows = [
+        (t.name, f"{t.clips}", f"{t.seconds / 60:.2f}", f"{t.speed / 100:.2f}", f"{t.in_the_air:.0%}")
+        for t in found.types
+    ]
+    out.print()
+    out.print(make_table(("type", "clips", "minutes", "m/s", "time in jumps"), rows))
+    out.print()
 
 
-def _lines(found: Diagnosis) -> Iterator[str]:
-    """The lines below the tables."""
+def _lines(found: Diagnosis, verbose: bool) -> Iterator[str]:
+    """What needs doing; with verbose, notes too."""
     from motionkit.data.labels import BEYOND_END
 
-    # Label segments beyond the end of a clip are listed among the warnings already.
-    notes = Counter(note for clip in found.clips for note in clip.notes if not note.startswith(BEYOND_END))
-    for note, count in notes.most_common(SHOWN_NOTES):
-        yield f"note: {note} ({counted(count, 'clip')})"
-    faults = [clip for clip in found.clips if clip.fault]
-    for clip in faults:
-        yield f"cannot be used: {about(clip.name, clip.fault)}"
+    for clip in found.clips:
+        if clip.fault:
+            yield f"cannot be used: {about(clip.name, clip.fault)}"
     for line in found.skipped[:SHOWN_SKIPS]:
         yield f"skipped {line}"
     if len(found.skipped) > SHOWN_SKIPS:
         yield f"skipped {len(found.skipped) - SHOWN_SKIPS} more; --json lists all"
-    yield from found.lines
-    if found.types and not faults and not any(line.startswith("warning: ") for line in found.lines):
-        yield "nothing looks wrong"
+    yield from (line for line in found.lines if verbose or line.startswith("warning: "))
+    if found.types:
+        yield f"types from {found.labels}" if found.labels else "types from folder and file names"
+    # Label segments beyond the end of a clip are listed among the warnings already.
+    notes = Counter(note for clip in found.clips for note in clip.notes if not note.startswith(BEYOND_END))
+    if verbose:
+        for note, count in notes.most_common(SHOWN_NOTES):
+            yield f"note: {note} ({counted(count, 'clip')})"
 
 
 def _print_clips(clips: list[ClipFacts], out: PlainConsole) -> None:
@@ -117,8 +154,19 @@ def _print_clips(clips: list[ClipFacts], out: PlainConsole) -> None:
         rows.append((clip.name, ", ".join(clip.types), *measured))
     columns = ("clip", "type", "s", "fps", *(["rig"] if several else []), "floor cm", "glitches")
     out.print(make_table(columns, rows, (0, 1)))
-    for place, rig in enumerate(rigs, 1):
-        out.print(f"rig {place}: {rig}" if several else f"rig of all clips: {rig}")
+    _print_rigs(clips, out)
+
+
+def _print_rigs(clips: list[ClipFacts], out: PlainConsole) -> None:
+    """Print a line for each rig."""
+    rigs = Counter(map(_rig, clips))
+    if len(rigs) == 1:
+        out.print(f"{'rig of all clips' if len(clips) > 1 else 'rig'}: {next(iter(rigs))}")
+        return
+    for place, (rig, count) in list(enumerate(rigs.items(), 1))[:SHOWN_RIGS]:
+        out.print(f"rig {place}: {rig} ({counted(count, 'clip')})")
+    if len(rigs) > SHOWN_RIGS:
+        out.print(f"... and {len(rigs) - SHOWN_RIGS} more rigs; --json lists all")
 
 
 def _rig(clip: ClipFacts) -> str:

@@ -61,7 +61,6 @@ def command(clip: Path, wanted: Wanted, **repairs: Any) -> None:
     """
     from motionkit.editing.fix import Repairs, fix_motion
     from motionkit.export.formats import read_clip
-    from motionkit.rig.upright import taken
     from motionkit.view.figure_data import Shown
 
     wanted.check()
@@ -74,16 +73,10 @@ def command(clip: Path, wanted: Wanted, **repairs: Any) -> None:
     both = (("before", source.motion), ("after", fixed.motion))
     outputs.show(lambda: [Shown(f"{clip.stem} {word}", m, character=source.character) for word, m in both])
     rows = [asdict(row) for row in fixed.table]
-    took = taken(source.motion)
-    facts = {
-        "output": outputs.file,
-        "table": rows,
-        "glitches": fixed.glitches,
-        "notes": fixed.notes,
-        "taken": took,
-    }
+    facts = {"output": outputs.file, "table": rows, "glitches": fixed.glitches, "notes": fixed.notes}
     wrote = f"wrote {shown_name(outputs.file)}: {len(source.motion)} frames at {source.motion.fps:g} fps"
-    outputs.report(facts, [wrote, f"  {took}", _table(fixed), *(f"  {note}" for note in fixed.notes)])
+    lines = [wrote, _table(fixed), *(f"  {note}" for note in fixed.notes)]
+    outputs.report(facts, lines, {clip: source.motion})
 
 
 def _table(fixed: Fixed) -> Table:

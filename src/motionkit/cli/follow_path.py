@@ -13,6 +13,7 @@ from motionkit.cli.finite import FINITE
 from motionkit.cli.outputs import Wanted, output_option, shown_name
 from motionkit.cli.synthesis_options import (
     Making,
+    SynthesisCommand,
     announce,
     metrics_line,
     motion_metrics,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 FAR = 30_000.0  # cm; a longer path may have been meant in other units
 
 
-@click.command("follow-path")
+@click.command("follow-path", cls=SynthesisCommand)
 @click.argument("path")
 @output_option("File to write; a BVH file named after the path by default")
 @click.option(

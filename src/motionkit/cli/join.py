@@ -77,7 +77,6 @@ def command(
     """
     from motionkit.editing.join import FAR, join_motions
     from motionkit.export.formats import read_clip
-    from motionkit.rig.upright import taken
     from motionkit.view.figure_data import Shown
 
     wanted.check()
@@ -115,7 +114,8 @@ def command(
     lines += [f"  {seam.sentence(*two)}" for seam, two in zip(joined.seams, pairwise(short), strict=True)]
     facts = {"output": outputs.file, "frames": len(made), "fps": made.fps}
     seams = [seam.as_dict() for seam in joined.seams]
-    outputs.report(facts | {"seams": seams, "taken": taken(made)}, [*lines, f"  {taken(made)}"])
+    read = {clip: source.motion for clip, source in zip(clips, sources, strict=True)}
+    outputs.report(facts | {"seams": seams}, lines, read)
 
 
 def _named(clips: tuple[Path, ...], animations: tuple[str, ...]) -> list[str | None]:

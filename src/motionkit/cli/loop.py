@@ -53,7 +53,6 @@ def command(
     """
     from motionkit.editing.loop import make_loop
     from motionkit.export.formats import read_clip
-    from motionkit.rig.upright import taken
     from motionkit.view.figure_data import Shown
 
     wanted.check()
@@ -69,10 +68,5 @@ def command(
         remark(note)
     cut = {"start": loop.start, "end": loop.end, "seconds": loop.seconds, "difference_cm": loop.difference}
     cut |= {"times": loop.times}
-    took = taken(source.motion)
-    lines = [
-        f"wrote {shown_name(outputs.file)}: {loop.sentence(clip.name)}",
-        f"  {loop.seam.sentence()}",
-        f"  {took}",
-    ]
-    outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict(), "taken": took}, lines)
+    lines = [f"wrote {shown_name(outputs.file)}: {loop.sentence(clip.name)}", f"  {loop.seam.sentence()}"]
+    outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict()}, lines, {clip: source.motion})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from motionkit.cli.common import (
 )
 from motionkit.cli.finite import FINITE, FiniteRange
 from motionkit.cli.folders import jobs_option
-from motionkit.cli.outputs import Outputs, default_output, view_option
+from motionkit.cli.outputs import Outputs, default_output, read_again, taken_facts, taken_lines, view_option
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings
 from motionkit.names import visible
@@ -205,13 +205,14 @@ def command(
     report = measuring.evaluate(ground_truth, generated)
     page = _view(ground_truth, generated, measuring.rates, as_json or as_csv) if view else None
     result = PairResult(ground_truth, generated, report)
+    read = {} if as_csv else read_again(ground_truth, generated)
     if as_json:
-        print_json({**result.as_dict(), **({"view": page} if page else {})})
+        print_json({**result.as_dict(), "taken": taken_facts(read), **({"view": page} if page else {})})
         return
     if as_csv:
         click.echo(csv_text([result]), nl=False)
     else:
-        _print_table(report, generated is not None)
+        _print_table(report, generated is not None, taken_lines(read))
     if page:
         (remark if as_csv else say)(f"wrote {page}")
 
@@ -312,7 +313,7 @@ def _view(
     return page
 
 
-def _print_table(report: MetricReport, paired: bool) -> None:
+def _print_table(report: MetricReport, paired: bool, taken: Iterable[str]) -> None:
     from motionkit.cli.console import make_table
 
     columns = ["metric", *(("ground truth", "generated", "ratio") if paired else ("value",)), "unit"]
@@ -327,6 +328,8 @@ def _print_table(report: MetricReport, paired: bool) -> None:
     console.print(make_table(columns, rows, (0, len(columns) - 1)))
     console.print()
     console.print(f"{report.frames} frames at {report.fps:g} fps")
+    for line in taken:
+        console.print(line)
     for note in report.remarks():
         console.print(f"note: {note}")
     for line in report.thresholds():

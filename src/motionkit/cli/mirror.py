@@ -18,6 +18,7 @@ from motionkit.cli.common import (
     say,
     taken_options,
 )
+from motionkit.cli.outputs import read_again, taken_facts, taken_lines
 from motionkit.errors import MotionkitError
 
 
@@ -57,10 +58,13 @@ def command(source: Path, target: Path | None, output: Path | None, strict: bool
         from motionkit.rig.mirror import mirror_file
 
         mirror_file(source, target)
+    read = read_again(source)
     if as_json:
-        print_json({"mirrored": [{"file": str(source), "output": str(target)}], "failed": []})
+        facts = {"file": str(source), "output": str(target), "taken": taken_facts(read)}
+        print_json({"mirrored": [facts], "failed": []})
     else:
-        say(f"wrote {target}: the mirror image of {source}")
+        for line in (f"wrote {target}: the mirror image of {source}", *taken_lines(read)):
+            say(line)
 
 
 def _mirror_clip(source: Path, target: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +22,7 @@ from motionkit.names import counted
 if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
     from motionkit.export.clip import Clip
+    from motionkit.motion.motion import Motion
     from motionkit.view.figure_data import Shown
 
 FORMATS = (
@@ -219,18 +220,46 @@ class Outputs:
         if not self.as_json:
             open_in_browser(self.page.resolve().as_uri())
 
-    def report(self, facts: dict[str, Any], lines: Iterable[Any]) -> None:
-        """Print the result: the facts with --json, else the lines and tables; then the page. Says what was replaced."""
+    def report(
+        self, facts: dict[str, Any], lines: Iterable[Any], read: Mapping[Path, Motion] | None = None
+    ) -> None:
+        """Print the result: the facts with --json, else the lines and tables; then the page. Says what was replaced.
+
+        Both end with what the clips that were read are taken to be.
+        """
         if self.replaced:
             more = f" and {counted(len(self.replaced) - 1, 'other file')}" if len(self.replaced) > 1 else ""
             remark(f"replaced {self.replaced[0]}{more}")
         if self.as_json:
-            print_json(facts | ({"view": self.page} if self.page else {}))
+            page = {"view": self.page} if self.page else {}
+            print_json(facts | ({"taken": taken_facts(read)} if read else {}) | page)
             return
-        for line in lines:
+        for line in (*lines, *taken_lines(read or {})):
             self.console.print(line)
         if self.page:
             self.console.print(f"wrote {self.page}")
+
+
+def read_again(*clips: Path | None) -> dict[Path, Motion]:
+    """The motions of clips as they are in their files, for commands that work on other forms; None is left out."""
+    from motionkit.export.formats import read_motion
+
+    return {clip: read_motion(clip) for clip in clips if clip is not None}
+
+
+def taken_facts(read: Mapping[Path, Motion]) -> str | list[str]:
+    """What the clips that a command read are taken to be, for JSON: of one its words, of several a list."""
+    from motionkit.rig.upright import taken
+
+    words = [taken(motion) for motion in read.values()]
+    return words[0] if len(words) == 1 else words
+
+
+def taken_lines(read: Mapping[Path, Motion]) -> list[str]:
+    """The same in lines; every command that takes clips prints them."""
+    from motionkit.rig.upright import taken
+
+    return [f"  {path.name}: {taken(motion)}" for path, motion in read.items()]
 
 
 def shown_name(path: Path) -> str:

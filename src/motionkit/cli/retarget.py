@@ -28,7 +28,14 @@ from motionkit.cli.common import (
 )
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import Wanted, animation_options, clip_output_option, shown_name, view_option
+from motionkit.cli.outputs import (
+    Wanted,
+    animation_options,
+    clip_output_option,
+    read_again,
+    shown_name,
+    view_option,
+)
 from motionkit.cli.rig_options import (
     RIG_FILE,
     RigChoice,
@@ -98,13 +105,11 @@ class Rigs:
 
     def shown(self, source: Path) -> Shown:
         """SOURCE as it is, to look at."""
-        from motionkit.motion.bvh import bvh_to_motion
-        from motionkit.rig.read_file import read_file
         from motionkit.rig.upright import in_metres
         from motionkit.view.figure_data import Shown
 
         with self.reading():
-            return Shown(source.stem, in_metres(bvh_to_motion(read_file(source))).motion)
+            return Shown(source.stem, in_metres(read_again(source)[source]).motion)
 
     def save(self, rig: Rig | None, source: Path) -> list[str]:
         """Write the bone map of a rig to --save-map, by default that of SOURCE; returns the lines to print."""
@@ -208,7 +213,8 @@ def command(
     if not wanted.as_json:
         for note in report.notes:
             remark(f"{source.name}: {note}")
-    outputs.report(facts, [wrote, *(_rig_lines(rig) if rig else ()), *saved])
+    with rigs.reading():
+        outputs.report(facts, [wrote, *(_rig_lines(rig) if rig else ()), *saved], read_again(source))
 
 
 def _inspect(rigs: Rigs, as_json: bool) -> None:

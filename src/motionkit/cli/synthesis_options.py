@@ -36,6 +36,38 @@ SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean"
 LONG_SECONDS = 900.0  # seconds of motion; a command announces longer jobs before they begin
 
 
+# Options by what they are about, in the order of use; both those of --help and of the command reference.
+SECTIONS = {
+    "Motion": ("types", "list_types", "seconds", "loops", "keys_file", "count", "size", "speed", "seed"),
+    "File": ("output", "view", "fps", "as_json"),
+    "Character": ("rig_path", "list_rigs", "character", "map_path", "clip_path", "name", "alone"),
+    "Root and rest pose": ("in_place", "root", "rest", "rest_frame"),
+    "Start and feet": ("init", "animation", "ik", "strict"),
+    "Model": ("model_path", "noise", "temperature", "reference"),
+}
+
+
+class SynthesisCommand(click.Command):
+    """A command whose options stand in SECTIONS."""
+
+    def __init__(self, *args: Any, **more: Any) -> None:
+        super().__init__(*args, **more)
+        order = [name for names in SECTIONS.values() for name in names]
+        self.params.sort(key=lambda each: order.index(each.name) if each.name in order else -1)
+
+    def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options of each section under its name."""
+        options = [each for each in self.get_params(context) if isinstance(each, click.Option)]
+        rest = {each.name: each.get_help_record(context) for each in options}
+        for title, names in SECTIONS.items():
+            if records := [record for name in names if (record := rest.pop(name, None))]:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+        if others := [record for record in rest.values() if record]:
+            with formatter.section("Options"):
+                formatter.write_dl(others)
+
+
 noise_options = together(
     click.option(
         "--noise",

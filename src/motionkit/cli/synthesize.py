@@ -21,6 +21,7 @@ from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import Outputs, Wanted, output_option, shown_name
 from motionkit.cli.synthesis_options import (
     Making,
+    SynthesisCommand,
     announce,
     metrics_line,
     motion_metrics,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from motionkit.view.figure_data import Shown
 
 
-@click.command("synthesize")
+@click.command("synthesize", cls=SynthesisCommand)
 @click.option(
     "--types",
     multiple=True,

@@ -82,4 +82,4 @@ def command(
     outputs.show(lambda: [Shown(outputs.file.stem, made, character=source.character)])
     facts = {"output": outputs.file, "start": first, "end": last, "frames": len(made), "fps": made.fps}
     kept = f"frames {first} to {last - 1} of {clip.name}, {made.seconds:.2f} s at {made.fps:g} fps"
-    outputs.report(facts, [f"wrote {shown_name(outputs.file)}: {kept}"])
+    outputs.report(facts, [f"wrote {shown_name(outputs.file)}: {kept}"], {clip: motion})

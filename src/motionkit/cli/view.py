@@ -23,7 +23,7 @@ from motionkit.cli.common import (
     say,
 )
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import body_option, default_output, naming
+from motionkit.cli.outputs import body_option, default_output, naming, read_again, taken_facts, taken_lines
 from motionkit.cli.rig_options import RIG_FILE, RigChoice, open_rig
 from motionkit.cli.showing import open_in_browser
 from motionkit.names import counted, visible
@@ -117,6 +117,7 @@ def command(
     shown = [replace(one, path=path, body=body) for one in shown]
     with Stages() as show:
         write_shown(target, shown, progress=lambda done, total: show("drawing", done, total), **sizes)
+    read = read_again(*clips) if choice.rig else {c: s.motion for c, s in zip(clips, shown, strict=True)}
     if target.suffix.lower() == ".html" and opens and not as_json:
         open_in_browser(target.resolve().as_uri())
     if as_json:
@@ -126,12 +127,14 @@ def command(
                 "frames": len(one.motion),
                 "seconds": one.motion.seconds,
                 "fps": one.motion.fps,
+                "taken": taken_facts({clip: read[clip]}),
             }
             for clip, one in zip(clips, shown, strict=True)
         ]
         print_json({"output": target, "clips": facts})
     else:
-        say(f"{target}: {counted(len(clips), 'clip')}")
+        for line in (f"wrote {target}: {counted(len(clips), 'clip')}", *taken_lines(read)):
+            say(line)
 
 
 def _shown(path: Path, name: str, rig: Rig | None) -> Shown:

@@ -323,12 +323,10 @@ def _too_little(training: list[_Shown]) -> list[str]:
     """Warnings for a type with few training clips or seconds."""
     out = []
     if len(training) == 1:
-        out.append("one clip only, which will be memorized; give it several")
+        out.append("one clip only, so training would copy it; give it several")
     seconds = sum(stretch.seconds for stretch in training)
     if seconds < REPEATED_BELOW:
-        out.append(
-            f"{seconds:.1f} s in all; training repeats steps and poses, but more would be learnt better"
-        )
+        out.append(f"{seconds:.1f} s in all, which is little; give it {FEW_SECONDS:.0f} s or more")
     elif seconds < FEW_SECONDS:
         out.append(f"{seconds:.1f} s in all; more would be learnt better")
     return out

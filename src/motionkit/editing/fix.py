@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, length
 from motionkit.data.cleaning import Limb, mend
 from motionkit.data.smoothing import smooth, smooth_rotations, window_at
 from motionkit.editing.root_from_feet import root_from_feet
@@ -21,7 +21,7 @@ from motionkit.finish.finish import Finish, finish
 from motionkit.metrics.body_movement import geodesic_movement
 from motionkit.metrics.report import evaluate_motion
 from motionkit.metrics.smoothness import mean_jerk
-from motionkit.motion.floor import floor_shift
+from motionkit.motion.floor import TOES, floor_shift
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_inverse, quat_multiply, quat_normalize
@@ -33,12 +33,13 @@ from motionkit.rig.upright import Upright, relative_rotation
 
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
 SIDES = ("Left", "Right")
-# Metrics of the table, and their names there.
+# Measures of the table, and their names there. The share of low toes that are fast (skate-ratio) is none of them: feet
+# that are held land and lift off faster, so it rises where no foot slides in contact.
 MEASURED: dict[str, str] = {
     "floor-height": "height of standing feet",
     "penetration-max": "deepest below the floor",
     "afs": "foot sliding (AFS)",
-    "skate-ratio": "share of standing toes that slide",
+    "standing-speed": "speed of standing toes",
     "jerk": "trembling (jerk)",
 }
 PASSES = 8  # most passes of all repairs, and over glitches; each may uncover others
@@ -49,7 +50,7 @@ FASTEST_ROOT, ROOT_SLACK = 2000.0, 50.0
 MOST_APART, APART, APART_SHARE = 3, 10.0, 8.0
 # Share, and amounts besides, by which a step may raise what it is to lower, and what it is not about; nobody sees them.
 WORSE_SHARE = 1.05
-WORSE = {"jerk": 0.02, "afs": 0.005, "floor": 0.02}
+WORSE = {"jerk": 0.02, "afs": 0.005, "floor": 0.02, "standing-speed": 0.1}
 WORSE_BESIDE = {"afs": 0.02, "penetration-max": 0.5}
 # cm that a pass moves joints, in the mean and at most, below which it is left out and repairs end: nobody sees them.
 SEEN_MEAN, SEEN = 0.05, 1.0
@@ -116,61 +117,66 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
     source = Upright.of(motion.cut(first, len(motion)))
     made, rig = source.motion, _rig(source.motion)
     limbs = _limbs(made, rig)
+    costs = _Costs(_standing(source))
     found = mend(made, limbs)[1]
     glitches: list[tuple[int, str]] = []
     notes: list[str] = []
     if first:
         words = "frame is" if first == 1 else f"{first} frames are"
         notes = [f"the first {words} no part of the motion, such as a rest pose: left as it is"]
-    refused: list[str] = []
+    refused: dict[str, str] = {}
     for number in range(PASSES):
-        tried = _one_pass(made, repairs, rig, limbs)
+        tried = _one_pass(made, repairs, rig, limbs, costs)
         notes += tried.notes if number == 0 else ()
-        refused = tried.refused
+        refused = tried.refused if number == 0 else {k: v for k, v in refused.items() if k in tried.refused}
         if _settled(made, tried.motion):
             break
         made, glitches = tried.motion, [*glitches, *tried.glitches]
     if made is source.motion:
-        return Fixed(
-            motion, _table(source, source, (len(found),) * 2), (), (*notes, *refused, "nothing to repair")
-        )
-    table = _table(source, Upright(made), (len(found), len(mend(made, limbs)[1])))
+        same = costs.table(source, source, (len(found),) * 2)
+        return Fixed(motion, same, (), (*notes, *refused.values(), "nothing to repair"))
+    table = costs.table(source, Upright(made), (len(found), len(mend(made, limbs)[1])))
     told = tuple(dict.fromkeys((frame + first, joint) for frame, joint in glitches))
-    return Fixed(motion.cut(0, first).followed_by(source.back(made)), table, told, (*notes, *refused))
+    return Fixed(
+        motion.cut(0, first).followed_by(source.back(made)), table, told, (*notes, *refused.values())
+    )
 
 
 class _Pass(NamedTuple):
-    """What one pass of all repairs made: the motion, the glitches that it mended, notes, and steps taken back."""
+    """What one pass of all repairs made: the motion, the glitches that it mended, notes, and why steps were refused."""
 
     motion: Motion
     glitches: list[tuple[int, str]]
     notes: list[str]
-    refused: list[str]
+    refused: dict[str, str]
 
 
-def _one_pass(source: Motion, repairs: Repairs, rig: RigMap | None, limbs: list[Limb]) -> _Pass:
+def _one_pass(
+    source: Motion, repairs: Repairs, rig: RigMap | None, limbs: list[Limb], costs: _Costs
+) -> _Pass:
     """All wanted repairs once. They depend on the motion alone, so that a next run leaves what is settled here."""
-    made, first = Upright(source), _costs(Upright(source))
-    costs = first
+    made = Upright(source)
+    first = was = costs.of(made)
     glitches: list[tuple[int, str]] = []
     notes: list[str] = []
-    refused: list[str] = []
+    refused: dict[str, str] = {}
     if repairs.glitches:
         bridged, spikes = _without_spikes(source)
         notes += [f"the root leaps away in {counted(spikes, 'frame')}: bridged"] if spikes else []
         mended, glitches = _mended(bridged, limbs)
         if mended is not source:
-            made, costs = Upright(mended), _costs(Upright(mended))
+            made = Upright(mended)
+            was = costs.of(made)
     for step in _steps(repairs, rig):
         motion, told = step.make(made)
         if motion is not made.motion:
             tried = Upright(motion)
-            now = _costs(tried)
-            if worse := _made_worse(step, costs, now, first) or _overturned(made, tried):
-                refused.append(f"{step.name}: taken back, because {worse}")
+            now = costs.of(tried)
+            if worse := _made_worse(step, was, now, first) or _overturned(made, tried):
+                refused[step.name] = f"{step.name}: taken back, because {worse}"
                 told = ()
             else:
-                made, costs = tried, now
+                made, was = tried, now
         notes += told
     return _Pass(made.motion, glitches, list(dict.fromkeys(notes)), refused)
 
@@ -249,7 +255,7 @@ def _steps(repairs: Repairs, rig: RigMap | None) -> list[_Step]:
         ),
         (repairs.root_from_feet, _Step("root from feet", "afs", _with_root_from_feet)),
         (repairs.floor, _Step("floor", "floor", lambda made: _on_the_floor(made, rig, floor))),
-        (repairs.sliding, _Step("sliding", "afs", lambda made: _on_the_floor(made, rig, sliding))),
+        (repairs.sliding, _Step("sliding", "standing-speed", lambda made: _on_the_floor(made, rig, sliding))),
     ]
     return [step for wanted, step in steps if wanted]
 
@@ -274,22 +280,55 @@ def _overturned(before: Upright, after: Upright) -> str:
     return f"{up_name(axes[1])} would then seem to be up" if axes[1][1] < 1.0 <= axes[0][1] else ""
 
 
-def _costs(upright: Upright) -> dict[str, float]:
-    """The measures of WORSE, as far as they can be taken; floor is how far feet are off their height, or below zero."""
-    if upright.canonical is None:
-        jerk = _jerk(upright.motion)
-        return {} if jerk is None else {"jerk": jerk}
-    try:
-        report = evaluate_motion(upright.canonical)
-    except MotionkitError:
-        return {}
-    found = {name: report.value(name) for name in ("jerk", "afs", "floor-height", "penetration-max")}
-    out = {name: value for name, value in found.items() if value is not None}
-    if "floor-height" in out:
-        out["floor"] = abs(out.pop("floor-height") - STANDING_HEIGHTS[1])
-    if {"floor", "penetration-max"} <= out.keys():
-        out["floor"] = max(out["floor"], out["penetration-max"])
-    return out
+def _standing(source: Upright) -> Array:
+    """Flags (T, 2) of toes that stand in this frame and the one before; (T, 0) for rigs that are not human."""
+    toes = source.contacts[:, 1::2] > 0.0
+    return toes & np.concatenate([np.zeros_like(toes[:1]), toes[:-1]])
+
+
+@dataclass(frozen=True, eq=False)
+class _Costs:
+    """What is measured of a clip before and after repairs; stands (T, 2) are the toes that stand before."""
+
+    stands: Array
+
+    def measured(self, upright: Upright) -> dict[str, tuple[float, str]]:
+        """The values and units of MEASURED that can be taken."""
+        if upright.canonical is None:
+            jerk = _jerk(upright.motion)
+            return {} if jerk is None else {"jerk": (jerk, "m/s^3")}
+        try:
+            rows = {row.id: row.motion for row in evaluate_motion(upright.canonical).rows}
+        except MotionkitError:  # a clip of a few frames can be repaired but not measured
+            return {}
+        values = {name: rows[name] for name in MEASURED if name in rows}
+        out = {name: (row.value, row.unit) for name, row in values.items() if row.value is not None}
+        if self.stands.any():
+            toes = upright.positions[:, list(TOES)].astype(np.float64)
+            speeds = length(np.diff(toes[..., ::2], axis=0)) * upright.motion.fps
+            out["standing-speed"] = float(speeds[self.stands[1:]].mean()), "cm/s"
+        return out
+
+    def of(self, upright: Upright) -> dict[str, float]:
+        """The values; floor is how far feet are off their height, or below zero."""
+        out = {name: value for name, (value, _) in self.measured(upright).items()}
+        if "floor-height" in out:
+            out["floor"] = abs(out.pop("floor-height") - STANDING_HEIGHTS[1])
+        if {"floor", "penetration-max"} <= out.keys():
+            out["floor"] = max(out["floor"], out["penetration-max"])
+        return out
+
+    def table(
+        self, before: Upright, after: Upright, glitches: tuple[float, float]
+    ) -> tuple[Measurement, ...]:
+        """The rows of the table; glitches are their numbers before and after."""
+        first, last = self.measured(before), self.measured(after)
+        names = MEASURED if before.canonical is not None and after.canonical is not None else ["jerk"]
+        rows = [Measurement("glitches", *glitches, "")]
+        for name in names:
+            (was, unit), (now, _) = (each.get(name, (None, "")) for each in (first, last))
+            rows.append(Measurement(MEASURED[name], was, now, unit))
+        return tuple(rows)
 
 
 def _rig(motion: Motion) -> RigMap | None:
@@ -405,23 +444,6 @@ def turned_in_world(motion: Motion, turns: dict[int, Array]) -> Motion:
         elif parent >= 0:
             now[joint] = quat_multiply(now[parent], local[:, joint])
     return replace(motion, local_rotations=quat_continuous(quat_normalize(local)))
-
-
-def _table(before: Upright, after: Upright, glitches: tuple[float, float]) -> tuple[Measurement, ...]:
-    rows = [Measurement("glitches", *glitches, "")]
-    if before.canonical is None or after.canonical is None:
-        values = [_jerk(each.motion) for each in (before, after)]
-        return (*rows, Measurement(MEASURED["jerk"], values[0], values[1], "m/s^3"))
-    try:
-        reports = [evaluate_motion(each) for each in (before.canonical, after.canonical)]
-    except MotionkitError:  # a clip of a few frames can be repaired but not measured
-        return (*rows, *(Measurement(words, None, None, "") for words in MEASURED.values()))
-    for name, words in MEASURED.items():
-        pair = [next((row.motion for row in report.rows if row.id == name), None) for report in reports]
-        first, last = pair
-        if first is not None and last is not None:
-            rows.append(Measurement(words, first.value, last.value, first.unit))
-    return tuple(rows)
 
 
 def _jerk(motion: Motion) -> float | None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionkit.errors import BvhError
+from motionkit.motion.rotations import quat_continuous, quat_normalize
 from motionkit.names import counted
 from motionkit.reading import strictly
 
@@ -171,6 +172,21 @@ def filled(values: NDArray[np.float64], channels: list[str], notes: Notes) -> ND
     if whole.any():
         notes.settle("channel", "without any number set to zero", "", 1, int(whole.sum()))
     return values
+
+
+def filled_turns(turns: NDArray[np.float64], notes: Notes) -> NDArray[np.float64]:
+    """Quaternions (T, J, 4) filled likewise, each as a whole, the shorter way; without any, unturned."""
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(turns).all(axis=-1))
+    if known.all():
+        return turns
+    turns = np.where(known[..., None], turns, np.nan)
+    for joint in np.flatnonzero(~known.all(axis=0)):
+        here = known[:, joint]
+        turns[here, joint] = quat_continuous(turns[here, joint]) if here.any() else turns[here, joint]
+    turns = filled(turns.reshape(len(turns), -1), [""] * turns[0].size, notes).reshape(turns.shape)
+    turns[:, ~known.any(axis=0), 0] = 1.0
+    turns[~known] = quat_normalize(turns[~known])
+    return turns
 
 
 def _words_per_line(lines: list[str], rows: list[int]) -> NDArray[np.int64]:

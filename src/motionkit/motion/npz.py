@@ -18,7 +18,7 @@ from motionkit.errors import MotionkitError
 from motionkit.files import open_regular
 from motionkit.free_memory import check_memory
 from motionkit.motion.bvh import BvhFile, motion_to_bvh
-from motionkit.motion.bvh_rows import MAX_NUMBER, Notes, filled
+from motionkit.motion.bvh_rows import MAX_NUMBER, Notes, filled, filled_turns
 from motionkit.motion.bvh_text import (
     LONGEST_FRAME,
     MAX_BYTES,
@@ -117,8 +117,8 @@ class _Archive:
         if kind == "number":
             with np.errstate(invalid="ignore"):  # a NaN of the kind that signals
                 values = values.astype(np.float64)
-            if fill:
-                values = filled(values, [name] * values.shape[1], self.notes)
+            if fill and values.size:
+                values = self._filled(name, values)
             if not bool((np.abs(values) <= MAX_NUMBER).all()):
                 raise self.fault(
                     f"its array {name!r} has a value that is not a number up to {MAX_NUMBER:,.0f}"
@@ -127,8 +127,14 @@ class _Archive:
             raise self.fault(f"its array {name!r} has a letter that does not exist")
         return values
 
-    def track(self, name: str, shape: tuple[int | None, int | None]) -> Array:
-        """An array (T, n) of frames, with values that are no numbers filled as in other files, unless read strictly."""
+    def _filled(self, name: str, values: Array) -> Array:
+        if name == "local_rotations":
+            return filled_turns(values, self.notes)
+        flat = values.reshape(len(values), -1)
+        return filled(flat, [name] * flat.shape[1], self.notes).reshape(values.shape)
+
+    def track(self, name: str, shape: tuple[int | None, ...]) -> Array:
+        """An array (T, ...) of frames, with values that are no numbers filled, unless read strictly."""
         return self.read(name, shape, fill=not self.notes.strict)
 
     def frames(self, name: str, shape: tuple[int | None, ...], joints: int, fps: float) -> Array:
@@ -139,7 +145,7 @@ class _Archive:
         except MotionkitError as error:
             raise self.fault(str(error)) from None
         check_duration(self.path, count, 1.0 / fps, None)
-        values = self.track(name, (None, *shape)) if len(shape) == 1 else self.read(name, (None, *shape))
+        values = self.track(name, (None, *shape))
         if not len(values):
             raise self.fault(f"its array {name!r} has no frames")
         return values
@@ -229,7 +235,9 @@ def _own(archive: _Archive) -> Motion:
         if not all(0 <= joint < count for joint in of):
             raise archive.fault("expected joints as end_joints")
         ends = {joint: (*place,) for joint, place in zip(of, places.tolist(), strict=True)}
-    local = archive.read("local_positions", (frames, count, 3)) if "local_positions" in archive else None
+    local = archive.track("local_positions", (frames, count, 3)) if "local_positions" in archive else None
+    roots = archive.track("root_positions", (frames, 3))
+    tell(archive.path, archive.notes.lines)
     return Motion(
         Skeleton(
             joint_names([str(name) for name in names], MAX_NAME),
@@ -238,7 +246,7 @@ def _own(archive: _Archive) -> Motion:
             ends,
         ),
         quat_normalize(rotations).astype(np.float32),
-        archive.read("root_positions", (frames, 3)).astype(np.float32),
+        roots.astype(np.float32),
         fps,
         None if local is None else local.astype(np.float32),
     )

@@ -171,8 +171,8 @@ class GltfFile:
             raise self.fault(f"refers to {kind}[{index}], which it does not have")
         return found[index]
 
-    def array(self, index: Any, width: int) -> Array:
-        """The numbers (N, width) of an accessor of floats or normalized integers, sparse or not.
+    def array(self, index: Any, width: int, finite: bool = True) -> Array:
+        """The numbers (N, width) of an accessor of floats or normalized integers, sparse or not; finite ones, if asked.
 
         Raises:
             MotionkitError: the accessor has another shape or type, is compressed, or lies outside the buffer.
@@ -195,7 +195,7 @@ class GltfFile:
         values = values.astype(np.float32)
         if kind in _LARGEST:
             values = np.maximum(values / _LARGEST[kind], np.float32(-1.0))
-        if not bool(np.isfinite(values).all()):
+        if finite and not bool(np.isfinite(values).all()):
             raise self.fault(f"{where} holds a number that is not finite")
         return values
 

@@ -34,7 +34,7 @@ _BACKWARDS = 0.5  # share of its length by which a foot may point backwards in t
 _OPPOSED = -0.5
 _STRAIGHT = 0.8  # legs are straight if feet are further below the hips than this share of the leg length
 _POSES = 3  # frames up to which a file shows poses and no motion
-_SAMPLES = 32  # recorded poses from which a rig without known names is mapped
+SAMPLES = 32  # recorded poses from which a rig without known names is mapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def map_file(bvh: BvhFile) -> RigMap:
     """Map the canonical joints of a file; raises SkeletonError if it is not a human rig."""
     if bvh.humanoid and told_places(bvh.skeleton) is None:
         return map_around(bvh.skeleton, bvh.humanoid, "VRM")
-    few = replace(bvh, values=bvh.values[:: max(1, len(bvh.values) // _SAMPLES)])
+    few = replace(bvh, values=bvh.values[:: max(1, len(bvh.values) // SAMPLES)])
     return map_rig(bvh.skeleton, motion_kinematics(bvh_to_motion(few))[1])
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Array, Doubles, lerp
+from motionkit.motion.bvh_rows import Notes, filled, filled_turns
 from motionkit.motion.frame_rate import nominal_rate
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import matrix_to_quat, quat_normalize, quat_slerp, quat_to_matrix
@@ -154,6 +155,7 @@ def _tracks(file: GltfFile, animation: dict[str, Any], moving: set[int]) -> list
     """The tracks of some nodes; those of other nodes, of morph targets and of extensions are left out."""
     samplers = _objects(file, animation, "samplers")
     out: list[Track] = []
+    notes = Notes(file.path)
     read: dict[int, Doubles] = {}  # times by accessor, which many samplers share
     seen: set[tuple[int, str]] = set()
     for channel in _objects(file, animation, "channels"):
@@ -176,14 +178,26 @@ def _tracks(file: GltfFile, animation: dict[str, Any], moving: set[int]) -> list
         file.item("accessors", given)
         if given not in read:
             read[given] = file.array(given, 1)[:, 0].astype(np.float64)
-        values = file.array(samplers[which].get("output"), _WIDTHS[path]).astype(np.float64)
+        values = file.array(samplers[which].get("output"), _WIDTHS[path], notes.strict).astype(np.float64)
         count = len(values) / 3 if how == "CUBICSPLINE" else len(values)
         if count != len(read[given]) or not bool((np.diff(read[given]) > 0.0).all()):
             raise file.fault(
                 f"a channel has {count:g} values for {len(read[given])} times, or times that do not rise"
             )
-        out.append(Track(node, path, read[given], values, how))
+        out.append(Track(node, path, read[given], _filled(file, path, values, int(count), notes), how))
+    tell(file.path, notes.lines)
     return out
+
+
+def _filled(file: GltfFile, path: str, values: Doubles, keys: int, notes: Notes) -> Doubles:
+    """Values of keys, with those that are no numbers filled as in other files."""
+    if path == "rotation" and len(values) == keys:
+        values = filled_turns(values[:, None], notes)[:, 0]
+    else:  # with splines' tangents
+        values = filled(values.reshape(keys, -1), [path] * (values.size // keys), notes).reshape(values.shape)
+    if not bool(np.isfinite(values).all()):
+        raise file.fault(f"the {path} of a node is mostly no number")
+    return values
 
 
 def _frames(file: GltfFile, tracks: list[Track], joints: int) -> tuple[Doubles, float]:

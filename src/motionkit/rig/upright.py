@@ -16,9 +16,11 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_identity, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton
+from motionkit.names import counted
 from motionkit.reading import reading
 from motionkit.rig.canonical import canonical_motion
 from motionkit.rig.names import map_rig
+from motionkit.rig.pose import SAMPLES
 from motionkit.rig.units import motion_unit
 from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
 
@@ -50,10 +52,23 @@ class InMetres:
 
 
 def taken(motion: Motion) -> str:
-    """What the unit and the up axis of a motion of any rig are taken to be, in words."""
-    up = up_axis(motion_kinematics(motion)[1], motion.skeleton)
+    """What a motion of any rig is taken to be, in words: frames, unit, up axis and joints."""
+    positions = motion_kinematics(motion)[1]
+    up = up_axis(positions, motion.skeleton)
     stays = "" if up[1] >= 1.0 else ", and stays so in BVH"
-    return f"unit: {motion_unit(motion)[1]}; {up_name(up)} up{stays}"
+    unit = f"unit: {motion_unit(motion)[1]}; {up_name(up)} up{stays}"
+    return f"{counted(len(motion), 'frame')} at {motion.fps:g} fps; {unit}; {_joints(motion, positions)}"
+
+
+def _joints(motion: Motion, positions: Array) -> str:
+    """How the canonical joints of a motion are found, and which it lacks, in words."""
+    try:
+        rig = map_rig(motion.skeleton, positions[:: max(1, len(motion) // SAMPLES)])
+    except SkeletonError:
+        return f"{counted(len(motion.skeleton), 'joint')}, no known human rig"
+    ways = " and ".join(sorted({rig.found(name) for name in rig.places}))
+    lacks = f" (no {', '.join(rig.missing())})" if rig.missing() else ""
+    return f"{len(rig.places)} joints found by {ways}{lacks}"
 
 
 def in_metres(motion: Motion) -> InMetres:

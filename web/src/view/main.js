@@ -9,7 +9,22 @@ const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac"
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const FAR_OFF = 2.5; // metres of travel beyond which the camera follows a motion
 const REACH = 0.9; // metres on either side that a body and its arms take in the picture
+// Metres beyond which a motion leaps rather than travels, as captures do whose root is lost; its place beside others; and
+// the distance from which the camera leaves it out.
+const LEAPS = 300;
+const SLOT = 3;
 const $ = (id) => document.getElementById(id);
+
+/** Whether a motion covers more ground than anybody walks. */
+function leaping({ box }) {
+  return Math.max(box[2] - box[0], box[3] - box[1]) > LEAPS;
+}
+
+/** The median of the hips along an axis. */
+function usual(clip, axis) {
+  const values = clip.hips.filter((_, i) => i % 3 === axis).sort();
+  return values[values.length >> 1];
+}
 
 class Viewer {
   constructor(clips) {
@@ -67,13 +82,15 @@ class Viewer {
   /** Places motions side by side along x, or all where they were recorded. */
   #arrange() {
     const boxes = this.tracks.map(({ clip }) => clip.box);
-    const widths = boxes.map((box) => Math.max(0.9, box[2] - box[0]));
+    const leaps = this.tracks.map(({ clip }) => leaping(clip));
+    const widths = boxes.map((box, n) => (leaps[n] ? SLOT : Math.max(0.9, box[2] - box[0])));
     const whole = widths.reduce((sum, width) => sum + width, 0) + 0.7 * (widths.length - 1);
     let left = -whole / 2;
     this.tracks.forEach(({ clip, group }, n) => {
       const side = this.apart && this.tracks.length > 1;
-      const middle = (boxes[n][0] + boxes[n][2]) / 2;
-      group.position.set(side ? left + widths[n] / 2 - middle : 0, 0, side ? -clip.hips[2] : 0);
+      const middle = leaps[n] ? usual(clip, 0) : (boxes[n][0] + boxes[n][2]) / 2;
+      const start = leaps[n] ? usual(clip, 2) : clip.hips[2];
+      group.position.set(side ? left + widths[n] / 2 - middle : 0, 0, side ? -start : 0);
       left += widths[n] + 0.7;
     });
     this.stage.invalidate();
@@ -81,7 +98,7 @@ class Viewer {
 
   #wanders() {
     const { box } = this.tracks[0].clip;
-    return Math.max(box[2] - box[0], box[3] - box[1]) > FAR_OFF;
+    return Math.max(box[2] - box[0], box[3] - box[1]) > FAR_OFF || this.tracks.some(({ clip }) => leaping(clip));
   }
 
   /** Frames everything visible, or the followed figure. */
@@ -120,7 +137,10 @@ class Viewer {
     const { aspect, fov } = this.stage.camera;
     const wide = Math.tan((fov * Math.PI) / 360) * aspect;
     const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
-    const seen = tracks.map((track) => this.#place(track)).map(([x, z]) => [x * cos - z * sin, x * sin + z * cos]);
+    const here = this.#place(this.track);
+    const places = tracks.map((track) => this.#place(track));
+    const near = places.filter(([x, z]) => Math.hypot(x - here[0], z - here[1]) < LEAPS);
+    const seen = near.map(([x, z]) => [x * cos - z * sin, x * sin + z * cos]);
     const [side, depth] = [0, 1].map((axis) => {
       const values = seen.map((place) => place[axis]);
       return (Math.min(...values) + Math.max(...values)) / 2;
