@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -232,6 +235,21 @@ def test_names_groups_and_all() -> None:
     assert chosen(("W/O-ffl",))[0].name == "w/o-FFL"
     with pytest.raises(MotionkitError, match="unknown experiment 'nobody'"):
         chosen(("nobody",))
+
+
+def test_an_architecture_of_an_entry_point_is_an_experiment(tmp_path: Path) -> None:
+    package = tmp_path / "mine-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text(
+        "[motionkit.architectures]\nmine = motionkit.lab.networks.mvae:MotionVae\n"
+    )
+    told = "from motionkit.lab.paper.variants import *; print(VARIANTS[-4].name, parameters(variant('mine')))"
+    places = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    done = subprocess.run(
+        [sys.executable, "-c", told], env=os.environ | {"PYTHONPATH": places}, capture_output=True, text=True
+    )
+    assert done.stdout.split() == ["mine", str(parameters(variant("MVAE")))], done.stderr
 
 
 @pytest.mark.parametrize("each", [v for v in VARIANTS if v.paper_parameters], ids=lambda each: each.name)
