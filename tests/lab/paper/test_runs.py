@@ -272,7 +272,7 @@ def test_a_training_set_has_no_test_sequence(
     with pytest.raises(DatasetError, match="unknown data set 'none'"):
         select(paper_folder, "none")
     monkeypatch.setitem(SELECTIONS, "empty", Selection("empty", "nothing", lambda dataset: ([], [])))
-    with pytest.raises(DatasetError, match="no clips for the data set empty"):
+    with pytest.raises(DatasetError, match="no training clips for the data set empty"):
         select(paper_folder, "empty")
 
 
@@ -322,7 +322,8 @@ def test_a_data_set_runs_on_its_own_clips(
     here = replace(plan, data=labelled_folder, selection=name, steps=3)
     for each in ("MVAE", "last frame"):
         result = run(here, variant(each))
-        assert result["data"] == name and ("dance" in result["groups"]) == name.startswith("all")
+        assert result["data"] == name and result["text"].endswith(f"of {len(train)} types in data")
+        assert ("dance" in result["groups"]) == name.startswith("all")
     written = read_results(plan.results)
     assert {each["folder"] for each in written} == {f"{name}/cpu-3"}
     titles = [table.title for table in tables(written)]
@@ -353,13 +354,24 @@ def test_users_define_data_sets_in_a_file(
         assert all(tested in clip.name for clip in test) and not any(tested in clip.name for clip in train)
 
 
-@pytest.mark.parametrize("text", ['{"types": "walking"}', '{"kinds": []}', "[]", '{"test": ["nobody"]}'])
-def test_files_of_data_sets_are_checked(paper_folder: Path, tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ('{"types": "walking"}', "expected"),
+        ('{"kinds": []}', "expected"),
+        ("[]", "expected"),
+        ('{"types": ["walking", "runing"]}', "unknown type 'runing'"),
+        ('{"test": ["*walk*", "nobody"]}', "no clip matches 'nobody'"),
+    ],
+)
+def test_files_of_data_sets_are_checked(
+    paper_folder: Path, tmp_path: Path, text: str, complaint: str
+) -> None:
     folder = tmp_path / "data"
     shutil.copytree(paper_folder, folder)
     (folder / "sets").mkdir()
     (folder / "sets" / "mine.json").write_text(text, encoding="utf-8")
-    with pytest.raises(DatasetError, match=r"mine\.json: expected|data set mine: see its file"):
+    with pytest.raises(DatasetError, match=rf"mine\.json: {complaint}"):
         select(folder, "mine")
 
 
