@@ -26,7 +26,7 @@ def test_a_named_shape(follow, tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["line-walking.bvh"]
     assert "along 0.5 m" in said.out and "reach" in said.out
     assert "part 1 walking: " in said.out and "part 2 running: " in said.out
-    assert "trajectory distance " in said.out and "cm per frame" in said.out
+    assert "trajectory distance " in said.out and "cm from the path" in said.out
 
 
 def test_a_file_and_json(follow, tmp_path: Path) -> None:

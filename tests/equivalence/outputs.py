@@ -17,7 +17,7 @@ from pathlib import Path
 from safetensors.numpy import load_file
 
 ROOT = Path(__file__).resolve().parents[2]
-SAMPLE, KEYS = ROOT / "examples" / "data", ROOT / "docs" / "keys.json"
+SAMPLE, KEYS = ROOT / "examples" / "data", Path(__file__).with_name("keys.json")
 
 COMMANDS = (
     "synthesize --types running:3,cartwheel:3 --seed 1 -o types.bvh",

@@ -120,8 +120,8 @@ def _lines(facts: dict[str, Any], fps: float, on: str) -> Iterator[str]:
     yield f"wrote {shown_name(facts['file'])}: {way}{on}, {end}"
     for number, part in enumerate(facts["parts"], 1):
         mean, most = part["mean_cm"], part["max_cm"]
-        words = "not reached" if mean is None else f"{mean:.2f} cm per frame, at most {most:.1f} cm"
+        words = "not reached" if mean is None else f"{mean:.2f} cm from the path, at most {most:.1f} cm"
         yield f"  part {number} {part['type']}: {words}"
     mean, most = facts["trajectory_distance_cm"], facts["largest_distance_cm"]
-    yield f"trajectory distance {mean:.2f} cm per frame, at most {most:.1f} cm"
+    yield f"trajectory distance {mean:.2f} cm on average, at most {most:.1f} cm"
     yield metrics_line(facts["metrics"])

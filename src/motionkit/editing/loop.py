@@ -84,8 +84,8 @@ class Seam:
     def sentence(self) -> str:
         """The seam in words."""
         return (
-            f"seam {self.distance:.2f} cm and {self.speed:.0f} cm/s; between two following frames up to "
-            f"{self.frame_distance:.1f} cm and {self.frame_speed:.0f} cm/s"
+            f"seam {self.distance:.2f} cm and {self.speed:.0f} cm/s apart; elsewhere two frames in a row are up to "
+            f"{self.frame_distance:.1f} cm and {self.frame_speed:.0f} cm/s apart"
         )
 
     def as_dict(self) -> dict[str, float]:

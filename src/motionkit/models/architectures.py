@@ -29,11 +29,16 @@ def entry_point(architecture: str) -> EntryPoint | None:
     return next(iter(entry_points(group=GROUP, name=architecture)), None)
 
 
+def plugged_in() -> list[str]:
+    """Return the names of all architectures that are entry points."""
+    return sorted({each.name for each in entry_points(group=GROUP)})
+
+
 def network_class(architecture: str) -> type[Predictor]:
     """Return the class of an architecture. Raises ModelError if it is unknown, or torch is not installed."""
     found = entry_point(architecture)
     if found is None:
-        known = ", ".join([*ARCHITECTURES, *sorted(each.name for each in entry_points(group=GROUP))])
+        known = ", ".join([*ARCHITECTURES, *plugged_in()])
         raise ModelError(
             f"architecture {architecture!r:.60} is unknown, expected one of {known}; install the package that has it"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from motionkit.errors import ModelError
-from motionkit.models.architectures import entry_point, network_class
+from motionkit.models.architectures import entry_point, network_class, plugged_in
 from motionkit.models.config import ModelConfig
 
 # Two parts, a leaky head with momentum for fast learning, and relative positions for streaming.
@@ -56,4 +56,7 @@ def preset(name: str, **changes: Any) -> Any:
     if entry_point(name):
         config = network_class(name).config_class
         return config.from_dict(config().to_dict() | changes)
-    raise ModelError(f"preset {name!r} is unknown, expected one of {', '.join(PRESETS)}")
+    known = ", ".join([*PRESETS, *plugged_in()])
+    raise ModelError(
+        f"preset {name!r} is unknown, expected one of {known}; a new entry point needs pip install again"
+    )

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -234,6 +237,21 @@ def test_names_groups_and_all() -> None:
         chosen(("nobody",))
 
 
+def test_an_architecture_of_an_entry_point_is_an_experiment(tmp_path: Path) -> None:
+    package = tmp_path / "mine-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text(
+        "[motionkit.architectures]\nmine = motionkit.lab.networks.mvae:MotionVae\n"
+    )
+    told = "from motionkit.lab.paper.variants import *; print(VARIANTS[-4].name, parameters(variant('mine')))"
+    places = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    done = subprocess.run(
+        [sys.executable, "-c", told], env=os.environ | {"PYTHONPATH": places}, capture_output=True, text=True
+    )
+    assert done.stdout.split() == ["mine", str(parameters(variant("MVAE")))], done.stderr
+
+
 @pytest.mark.parametrize("each", [v for v in VARIANTS if v.paper_parameters], ids=lambda each: each.name)
 def test_parameters_are_near_the_papers(each: Variant) -> None:
     if each.name == "NeuralLayering":  # the number of its experts is not known
@@ -254,7 +272,7 @@ def test_a_training_set_has_no_test_sequence(
     with pytest.raises(DatasetError, match="unknown data set 'none'"):
         select(paper_folder, "none")
     monkeypatch.setitem(SELECTIONS, "empty", Selection("empty", "nothing", lambda dataset: ([], [])))
-    with pytest.raises(DatasetError, match="no clips for the data set empty"):
+    with pytest.raises(DatasetError, match="no training clips for the data set empty"):
         select(paper_folder, "empty")
 
 
@@ -304,7 +322,8 @@ def test_a_data_set_runs_on_its_own_clips(
     here = replace(plan, data=labelled_folder, selection=name, steps=3)
     for each in ("MVAE", "last frame"):
         result = run(here, variant(each))
-        assert result["data"] == name and ("dance" in result["groups"]) == name.startswith("all")
+        assert result["data"] == name and result["text"].endswith(f"of {len(train)} types in data")
+        assert ("dance" in result["groups"]) == name.startswith("all")
     written = read_results(plan.results)
     assert {each["folder"] for each in written} == {f"{name}/cpu-3"}
     titles = [table.title for table in tables(written)]
@@ -335,13 +354,24 @@ def test_users_define_data_sets_in_a_file(
         assert all(tested in clip.name for clip in test) and not any(tested in clip.name for clip in train)
 
 
-@pytest.mark.parametrize("text", ['{"types": "walking"}', '{"kinds": []}', "[]", '{"test": ["nobody"]}'])
-def test_files_of_data_sets_are_checked(paper_folder: Path, tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ('{"types": "walking"}', "expected"),
+        ('{"kinds": []}', "expected"),
+        ("[]", "expected"),
+        ('{"types": ["walking", "runing"]}', "unknown type 'runing'"),
+        ('{"test": ["*walk*", "nobody"]}', "no clip matches 'nobody'"),
+    ],
+)
+def test_files_of_data_sets_are_checked(
+    paper_folder: Path, tmp_path: Path, text: str, complaint: str
+) -> None:
     folder = tmp_path / "data"
     shutil.copytree(paper_folder, folder)
     (folder / "sets").mkdir()
     (folder / "sets" / "mine.json").write_text(text, encoding="utf-8")
-    with pytest.raises(DatasetError, match=r"mine\.json: expected|data set mine: see its file"):
+    with pytest.raises(DatasetError, match=rf"mine\.json: {complaint}"):
         select(folder, "mine")
 
 

@@ -467,12 +467,12 @@ def test_results_of_before_have_no_verdict() -> None:
     rows = claims_table(RESULTS, "claims").rows
     assert len(rows) == 2 and all(row[-1] == "cannot be told" for row in rows)  # of EBTN and FPTN-R
     text = page(RESULTS)
-    assert "## What is learnt" in text and "0 of 2 claims are decided" in text
+    assert "## Verdicts" in text and "0 of 2 claims are decided" in text
     assert "do not see" not in text and "hardly depends" not in text
 
 
 def test_the_page_shows_errors_beside_those_of_copying() -> None:
-    text = page([*seeds("TPTN", OURS), *seeds("EBTN", OURS)])
+    text = tables_page([*seeds("TPTN", OURS), *seeds("EBTN", OURS)])
     assert "| repeated |  | - | - | 0.100 | 0.100 | 0.100 | 0.100 | 0.100 |" in text
     assert "| TPTN | 5 | 23.0 ± 12.0 | - | 0.050 | 0.050 | 0.050 | 0.050 | 0.050 |" in text
     assert "| EBTN | 5 | 4.00 | 4.00 | 4.00 | 9.00 | 4.00 | 30.0 | 60.0 |" in text

@@ -16,6 +16,7 @@ import numpy as np
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.errors import DatasetError
 from motionkit.files import read_json
+from motionkit.names import counted
 
 PAPER_TYPES = (
     "idle", "walking", "running", "jumping-l", "jumping-r", "jumping-b", "b-walking", "kicking", "punching",
@@ -46,12 +47,27 @@ def select(folder: Path, name: str) -> Dataset:
     dataset = Dataset(folder)
     train, test = (SELECTIONS.get(name) or own_selection(folder, name)).choose(dataset)
     if not train or not test:
-        wanted = f"expected the types {', '.join(PAPER_TYPES)}" if name in SELECTIONS else "see its file"
-        raise DatasetError(f"{folder}: no clips for the data set {name}: {wanted}")
+        wanted = f"test clips have at least {LEAST_TEST} frames"
+        if name == "D_L":
+            wanted = f"its types are {', '.join(PAPER_TYPES)}; the data set all takes any"
+        raise DatasetError(
+            f"{folder}: no {'test' if train else 'training'} clips for the data set {name}: {wanted}"
+        )
     dataset.clips = tuple(
         [replace(c, split="train") for c in train] + [replace(c, split="test") for c in test]
     )
     return dataset
+
+
+def described(dataset: Dataset, name: str) -> str:
+    """Say in words what a data set trains on; the dataset is one of select."""
+    clips = dataset.select("train")
+    kinds = {kind for clip in clips for kind in frames_of(dataset, clip)}
+    mirrored = sum(clip.mirrored for clip in clips)
+    own = "" if name in SELECTIONS else f"{own_selection(dataset.folder, name).text}: "
+    images = f" and {counted(mirrored, 'mirror image')}" if mirrored else ""
+    many = counted(len(clips) - mirrored, "training sequence")
+    return f"{own}{many}{images} of {counted(len(kinds), 'type')} in {dataset.folder.resolve().name}"
 
 
 def own_selection(folder: Path, name: str) -> Selection:
@@ -79,11 +95,20 @@ def own_selection(folder: Path, name: str) -> Selection:
 
     def choose(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
         train, test = (_plain(dataset, split) for split in ("train", "test"))
+        unknown = [kind for kind in found.get("types", []) if kind not in dataset.types]
+        if unknown:
+            raise DatasetError(
+                f"{path}: unknown type {unknown[0]!r:.60}, expected some of {', '.join(dataset.types)}"
+            )
         if "test" in found:
             whole = [*train, *test]
-            test = [
-                clip for clip in whole if any(fnmatch(clip.name, str(pattern)) for pattern in found["test"])
-            ]
+            matching = [[clip for clip in whole if fnmatch(clip.name, str(p))] for p in found["test"]]
+            for pattern, clips in zip(found["test"], matching, strict=True):
+                if not clips:
+                    raise DatasetError(
+                        f"{path}: no clip matches {pattern!r:.60}; a name is, for example, {whole[0].name}"
+                    )
+            test = [clip for clip in whole if any(clip in clips for clips in matching)]
             train = [clip for clip in whole if clip not in test]
         if "types" in found:
             train, test = (_only(dataset, clips, found["types"].__contains__) for clips in (train, test))

@@ -120,7 +120,7 @@ def check_result(result: Any) -> None:
             _check(result, OF_NETWORKS, "")
             if result["derivatives"]:  # of networks that predict a trajectory
                 _check(result["derivatives"], {"trajectory": float, "features": float}, "derivatives")
-    for field, shape in (("made", MADE), ("held-out", HELD_OUT), ("by-mean", {"all": MEANS})):
+    for field, shape in (("made", MADE), ("text", str), ("held-out", HELD_OUT), ("by-mean", {"all": MEANS})):
         if field in result:  # results of before have none
             _check(result[field], shape, field)
     for part, values in result["groups"].items():

@@ -30,8 +30,12 @@ from motionkit.tables import Table
 
 HEAD = """# Experiments
 
-`motionkit experiment` repeats the paper's experiments on free motion: it trains the paper's network, every variant and
-the networks of other papers alike, rolls them out on test sequences and measures them.
+`motionkit experiment` trains the paper's network (TPTN), its variants and the networks of other papers alike on free
+motion, and tests them on held-out clips. This page has the verdicts on the paper's claims, what was trained, and what
+that can tell; [{tables}]({tables}) has every figure. Both are written from results; no figure is typed in.
+"""
+
+RUN = """## Run it
 
 ```text
 motionkit preprocess cmu/ --labels docs/free-cmu-labels.csv --layout expmap-root-1 --own-bodies --raw -o datasets/paper
@@ -39,18 +43,19 @@ motionkit experiment run all --data datasets/paper --seeds 3 # continues where i
 motionkit experiment tables
 ```
 
-The last command writes this page from the results in `experiments/results`, and every table of every budget into
-[{tables}]({tables}). No figure is typed in.
+Results go to `experiments/results`; for data of your own give both commands another `--results`, and `tables` another
+`-o` ([CONTRIBUTING.md](../CONTRIBUTING.md#add-a-data-set)). Roll-outs are kept beside results, and
+`motionkit experiment measure` adds a metric to finished runs.
+"""
 
-**How to read it.** The paper's figures come from its own data, after its own training of 2000 epochs (table 3 from the
-data of PFNN). A cell is the mean over seeds, ± the standard deviation over seeds, with the paper's figure in brackets.
-Bold is a best value that is better by more than the spread over seeds. Networks draw each frame at full sigma, from 87
-initial frames (30 where a sequence is short), with the types, trajectory and skeleton of the test sequence. They have
-no foot locking, reference poses, velocity blending or corrections. [metrics.md](metrics.md) defines the metrics: BM is
-`bm-euler`, which is best where it is nearest to the recorded one, then `afs`, `ssim-channel`, `mpjpe` and `path-mean`.
-BM of drawn frames grows with sigma, so it says little of the movement; BM by mean does. A network without contact loss
-(w/o-F) has untrained contact outputs: its contacts are labelled by height and speed of the feet it draws, as recordings
-are. Roll-outs are kept beside results; `motionkit experiment measure` adds a metric to finished runs.
+LIMITS = """Networks draw each frame at full sigma, from 87 initial frames (30 where a sequence is short), with the
+types, trajectory and skeleton of the test sequence, without foot locking, reference poses, velocity blending or
+corrections. A cell of the tables is the mean over seeds, ± the standard deviation, with the paper's figure in brackets:
+that is of its own data after 2000 epochs (table 3: of PFNN's data). Bold is a best value that is better by more than
+the spread. [metrics.md](metrics.md) defines the metrics: BM is `bm-euler`, best where nearest to the recorded one,
+then `afs`, `ssim-channel`, `mpjpe` and `path-mean`. BM of drawn frames grows with sigma, so it says little of the
+movement; BM by mean does. w/o-F has untrained contact outputs: its contacts are labelled by height and speed of the
+feet it draws.
 """
 
 TABLES_HEAD = """# Tables of the experiments
@@ -63,13 +68,10 @@ derivatives that by the features fed in is small even for the best linear predic
 that by the trajectory nears 1 as a network learns, and begins there where the head adds what it is given.
 """
 
-NOT_DRAWN = """**Figures 10 to 12 are not drawn.** What figure 10 shows, feet that slide, is AFS in the tables; figure
-11, motions beside recordings, is the page of `motionkit experiment study`; figure 12, a path by PFNN
-and by TPTN, needs PFNN's data, which is not free (`--set locomotion` is the nearest). The control input
-that fails in section 5.5, a twist by EBTN, is a row of the tables by type in
-[experiments-tables.md](experiments-tables.md); runs made or measured anew also have the share of it
-that a classifier of the types takes for a twist. Responsiveness is measured of the shipped model
-([evaluation.md](evaluation.md#response)), not of `tptn-paper`.
+NOT_DRAWN = """Figures 10 to 12 are not drawn: feet that slide (10) are AFS in the tables, motions beside recordings
+(11) are the page of `motionkit experiment study`, and the path by PFNN (12) needs PFNN's data, which is not free. The
+control input that fails in section 5.5, a twist by EBTN, is a row of the tables by type in
+[experiments-tables.md](experiments-tables.md).
 """
 
 SCENES = """## The paper's figures 1 and 5 to 9
@@ -118,30 +120,33 @@ LONG = """## Long roll-outs
 
 Twenty seconds from 30 initial frames of test clips (the paper's section 5.2): types are given, the trajectory is the
 network's own prediction, fed back, and frames are drawn at full sigma. A roll-out holds where, in each of four parts,
-its poses are at most {apart:g} times as far from the nearest pose in the training clips of the type as the held-out
-recording is, its feet swing about their mean place under the body between half and {apart:g} times as far, and it goes
-no faster than the fastest five seconds of its type in the training clips. `motionkit experiment long MODEL` makes them,
-and `motionkit train datasets/paper --preset tptn-paper --budget medium --batch 8 --minutes 200 --trajectory-drift 0.15
---from-scratch` a model for it, of all types. Networks of D_L know no dance (`--type`).
+its poses are at most {apart:g} times as far from the nearest training pose of the type as the held-out recording is,
+its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest five seconds of its type.
+`motionkit experiment long MODEL` makes them, and `motionkit train datasets/paper --preset tptn-paper --budget medium
+--batch 8 --minutes 200 --trajectory-drift 0.15 --from-scratch` a model for it. Networks of D_L know no dance
+(`--type`).
 """
 
 
 def long_section(models: Sequence[dict[str, Any]], beside: Path | None = None) -> list[str]:
     """Return the section of long roll-outs: how many of each model hold.
 
-    With the folder of the page also a table for each model, and the contact sheet that lies there.
+    With the folder of the page also a table and the note of each model, and the contact sheet that lies there.
     """
-    parts = [LONG.format(apart=APART)] if models else []
+    if not models:
+        return []
+    holding = [sum(facts["holds"] for facts in each["rollouts"]) for each in models]
+    rows = [(m["model"], f"{n} of {len(m['rollouts'])}") for m, n in zip(models, holding, strict=True)]
+    parts = [LONG.format(apart=APART), markdown(Table("Roll-outs that hold", ("model", "hold"), rows))]
+    if beside is None:
+        return parts
     for each in models:
-        if beside is not None:
-            rows = tuple(long_row(facts) for facts in each["rollouts"])
-            title = f"{each['model']}, {each['steps']} training steps in its last run"
-            parts.append(markdown(Table(title, LONG_HEADER, rows)))
-            sheet = sheet_name(each["model"])
-            if (beside / sheet).exists():
-                parts.append(f"![Roll-outs of {each['model']}, a pose every second]({sheet})\n")
-        held = sum(facts["holds"] for facts in each["rollouts"])
-        parts.append(f"{held} of {len(each['rollouts'])} roll-outs of {each['model']} hold.\n")
+        facts = tuple(long_row(facts) for facts in each["rollouts"])
+        title = f"{each['model']}, {each['steps']} training steps in its last run"
+        parts.append(markdown(Table(title, LONG_HEADER, facts)))
+        sheet = sheet_name(each["model"])
+        if (beside / sheet).exists():
+            parts.append(f"![Roll-outs of {each['model']}, a pose every second]({sheet})\n")
         if each.get("note"):
             parts.append(f"{each['note']}\n")
     return parts
@@ -157,31 +162,33 @@ steps are the largest distance between the ankles in a second. `motionkit experi
 
 
 def bodies_section(models: Sequence[dict[str, Any]], with_tables: bool = True) -> list[str]:
-    """Return the section of the skeleton control signal: a table for each model, and how far it is followed."""
-    parts = [BODIES.format(count=len(models[0]["performers"]))] if models else []
-    for each in models:
-        shown = each["performers"]
-        trained = f"{each['model']}, {each['steps']} training steps in its last run"
-        title = f"{trained}: {each['type']}, {each['seeds']} seeds"
-        if with_tables:
-            parts.append(markdown(Table(title, BODIES_HEADER, tuple(bodies_row(row) for row in shown))))
-        words = ", ".join(f"{name} {slope:.2f}" for name, slope in slopes(shown).items())
-        parts.append(
-            f"How much of a difference between performers is made by {title} (least squares; 1 is all): {words}.\n"
-        )
+    """Return the section of the skeleton control signal: how far each model follows it, and a table for each."""
+    if not models:
+        return []
+    told = [slopes(each["performers"]) for each in models]
+    rows = [
+        (f"{m['model']}, {m['type']}, {m['seeds']} seeds", *(f"{share:.2f}" for share in shares.values()))
+        for m, shares in zip(models, told, strict=True)
+    ]
+    title = "How much of a difference between performers is made (least squares; 1 is all)"
+    parts = [BODIES.format(count=len(models[0]["performers"]))]
+    parts.append(markdown(Table(title, ("model", *told[0]), rows)))
+    for each in models if with_tables else ():
+        title = f"{each['model']}, {each['steps']} training steps in its last run: {each['type']}"
+        shown = tuple(bodies_row(row) for row in each["performers"])
+        parts.append(markdown(Table(title, BODIES_HEADER, shown)))
     return parts
 
 
-LEARNT = """Seeds are paired: the same seed sees the same windows, so each network is compared with TPTN seed by seed,
-on held-out clips. A cell is the variant's figure minus TPTN's, t of a two-sided paired t-test over seeds, and its p,
-corrected by Holm over all variants with that measure; bold is p below 0.05. **likelihood** is the negative
-log-likelihood per frame; **error** that of the mean one frame ahead, each block of features as a share of the error of
-repeating the last frame; **open loop** the distance of joints in roll-outs of a second by mean, in cm. Whether bodies
-move less or feet slide is decided by BM or AFS of the roll-outs by mean, since BM of samples measures sigma above all.
-A claim **agrees** or **does not agree** where a measure tells and none tells otherwise; else it **cannot be told**.
-The verdicts hold for the training that the networks had here.
+LEARNT = """Each variant is compared with TPTN seed by seed, because the same seed sees the same windows, on held-out
+clips. A cell is the variant's figure minus TPTN's, t of a two-sided paired t-test over seeds, and its p, corrected by
+Holm over the variants of the column; bold is p below 0.05. Less is better: **likelihood** is the negative
+log-likelihood per frame, **error** that of the mean one frame ahead, each block of features as a share of the error of
+repeating the last frame, **open loop** the distance of joints over a second of roll-outs by mean, in cm. Whether bodies
+move less or feet slide is decided by BM or AFS of roll-outs by mean. A claim **agrees** or **does not agree** where a
+measure tells and none tells otherwise; else it **cannot be told**. Verdicts hold for the training below.
 """
-SHOWN = ("Networks of other papers, and floors", "One frame ahead", "A second in open loop")
+SHOWN = "Networks of other papers, and floors"
 
 
 @dataclass(frozen=True)
@@ -204,13 +211,13 @@ def page(results: Results, extras: Extras | None = None, path: Path = Path("docs
     extras = extras or Extras()
     main = _most_trained(results)
     here = [result for result in results if result["folder"] == main]
-    parts = [HEAD.format(tables=tables_path(path).name), *_what_was_run(here)]
+    parts = [HEAD.format(tables=tables_path(path).name), *_claims(here), *_what_was_run(here)]
     others = [f"`{folder}`" for folder in protocol_folders(results) if folder != main]
     parts += [f"The same was run in {', '.join(others)}.\n"] if others else []
-    parts += [*_what_is_learnt(here), *(f"- {line}" for line in by_budget(results)), ""]
+    parts += ["## What this can tell\n", LIMITS, *_findings(here, results)]
     parts += [markdown(table) for table in tables(here) if table.title.startswith(SHOWN)]
     parts += [*scenes_section(extras.scenes, path.parent), *long_section(extras.long)]
-    return "\n".join([*parts, *bodies_section(extras.bodies, with_tables=False)])
+    return "\n".join([*parts, *bodies_section(extras.bodies, with_tables=False), RUN])
 
 
 def tables_page(
@@ -218,13 +225,9 @@ def tables_page(
 ) -> str:
     """Return the file of tables beside the page: all data sets and budgets; arguments as of page."""
     extras = extras or Extras()
-    parts = [TABLES_HEAD.format(page=path.name), *_what_was_run(results), *_what_is_learnt(results)]
-    parts += [
-        *(f"- {line}" for line in by_budget(results)),
-        "",
-        "## Tables\n",
-        *(markdown(table) for table in tables(results)),
-    ]
+    parts = [TABLES_HEAD.format(page=path.name), *_claims(results), *_what_was_run(results)]
+    parts += ["## What this can tell\n", *_findings(results, results)]
+    parts += ["## Tables\n", *(markdown(table) for table in tables(results))]
     parts += [*long_section(extras.long, path.parent), *bodies_section(extras.bodies)]
     return "\n".join(parts)
 
@@ -246,7 +249,7 @@ def _most_trained(results: Results) -> str:
 
 
 def _what_was_run(results: Results) -> list[str]:
-    parts = ["## What was run\n", *(f"- {line}" for line in budget_lines(results)), ""]
+    parts = ["## What was trained\n", *(f"- {line}" for line in budget_lines(results)), ""]
     for folder in protocol_folders(results):
         lacking = missing(results, folder)
         if not any(r.get("parameters") for r in results if r["folder"] == folder):
@@ -256,15 +259,29 @@ def _what_was_run(results: Results) -> list[str]:
     return parts
 
 
-def _what_is_learnt(results: Results) -> list[str]:
-    parts = ["## What is learnt\n", LEARNT]
+def _claims(results: Results) -> list[str]:
+    """The section of verdicts; nothing where no result is of the paper's small data set, which its claims are of."""
+    parts = []
     for folder in protocol_folders(results):
         here = [result for result in results if result["folder"] == folder]
-        # They are of the small data set, and so are the figures beside them.
         if here[0]["data"] == "D_L":
             table = claims_table(here, f"The paper's claims: `{folder}`")
-            parts += [markdown(table), f"{counts(here)}\n"] if table.rows else []
-    return [*parts, *(f"- {line}" for line in findings(results))]
+            parts += [markdown(_verdict_first(table)), f"{counts(here)}\n"] if table.rows else []
+    return ["## Verdicts\n", *parts, LEARNT] if parts else []
+
+
+def _verdict_first(table: Table) -> Table:
+    """The table with the verdict beside the claim, and the figures behind it."""
+    place = table.columns.index("verdict")
+
+    def moved(row: Sequence[Any]) -> tuple[Any, ...]:
+        return (row[0], row[place], *row[1:place], *row[place + 1 :])
+
+    return Table(table.title, moved(table.columns), tuple(map(moved, table.rows)))
+
+
+def _findings(here: Results, results: Results) -> list[str]:
+    return [*(f"- {line}" for line in (*findings(here), *by_budget(results))), ""]
 
 
 def write_page(

@@ -21,7 +21,7 @@ from motionkit.files import read_json, write_json
 from motionkit.lab.floors import FLOORS
 from motionkit.lab.held_out import held_out
 from motionkit.lab.paper.batched_rollouts import roll_out
-from motionkit.lab.paper.datasets import select
+from motionkit.lab.paper.datasets import described, select
 from motionkit.lab.paper.derivatives import control_derivatives
 from motionkit.lab.paper.held_out_errors import held_out_errors
 from motionkit.lab.paper.kept_rollouts import WAYS, keep_rollouts, read_rollouts, rollouts_file
@@ -235,7 +235,7 @@ def run_one(
             say(line)
         if is_done(plan, each, seed, made):
             return file
-        result = heading(plan, each, seed, made)
+        result = heading(plan, each, seed, made) | {"text": described(dataset, plan.selection)}
         if each.preset:
             torch.set_num_threads(1)  # sums in one order, so that a seed gives the same figures
             if not trained:

@@ -393,7 +393,9 @@ def budget_lines(results: Results) -> list[str]:
         here = in_folder(results, folder)
         trained = [r for r in here if "budget" in r]
         known = SELECTIONS.get(here[0]["data"])
-        text = known.text if known else "a data set of its own"
+        text = next(
+            (r["text"] for r in here if "text" in r), known.text if known else "a data set of its own"
+        )
         line = f"**{_named(folder)}**: {text}; {counted(len(here), 'result')}."
         if trained:
             b = trained[0]["budget"]

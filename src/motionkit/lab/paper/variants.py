@@ -1,4 +1,7 @@
-"""The one table of what is compared: the paper's network, its variants, baselines from other papers, and floors."""
+"""The one table of what is compared: the paper's network, its variants, baselines from other papers, and floors.
+
+Architectures that are entry points and have no line here are compared too, under their own names.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import Any
 
 from motionkit.errors import MotionkitError
 from motionkit.features.control import ControlLayout
-from motionkit.models.architectures import build
+from motionkit.models.architectures import build, plugged_in
 from motionkit.models.network import parameter_count
 from motionkit.models.presets import preset
 
@@ -60,7 +63,7 @@ def _weights(**changes: float) -> dict[str, Any]:
 _FOUR = {"width": 88, "ffn": 163, "control_width": 24, "control_embedding": 24, "shared_channels": 16}
 _NO_SIGMA = {"log_sigma_min": -9.2, "log_sigma_max": -9.2}  # drawn frames are the mean
 
-VARIANTS: tuple[Variant, ...] = (
+_TRAINED: tuple[Variant, ...] = (
     Variant("TPTN", "tptn", "the paper's network", paper_parameters=3.59),
     Variant("absolute head", "tptn", "TPTN with the paper's head and dropout, where a budget changes them",
             config={"head_leak": 0.0, "head_momentum": False, "input_dropout": 0.5, "deep_dropout": 0.5},
@@ -105,10 +108,19 @@ VARIANTS: tuple[Variant, ...] = (
             paper_parameters=25.21),
     Variant("LearnedMM", "baselines", "learned motion matching (Holden 2020): decompressor, stepper, projector",
             "learned-motion-matching"),
+)  # fmt: skip
+_FLOORS = (
     Variant("last frame", "floors", "the last initial frame, held", "", seeds=1),
     Variant("nearest clip", "floors", "the training clip whose half second before is nearest", "", seeds=1),
     Variant("motion matching", "floors", "recorded frames, searched every third of a second", "", seeds=1),
-)  # fmt: skip
+)
+_NAMED = {each.preset for each in _TRAINED}
+_PLUGGED_IN = tuple(
+    Variant(name, "baselines", "an architecture of an entry point, in its own sizes", name)
+    for name in plugged_in()
+    if name not in _NAMED
+)
+VARIANTS = (*_TRAINED, *_PLUGGED_IN, *_FLOORS)
 
 
 def variant(name: str) -> Variant:
