@@ -11,7 +11,9 @@ import pytest
 
 import motionkit as mk
 from motionkit import free_memory
+from motionkit.editing.join import join_motions
 from motionkit.errors import MotionkitError
+from motionkit.metrics.report import evaluate_motion
 from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.motion.motion import resample
 from synthetic_motions import make_walk
@@ -53,6 +55,8 @@ def test_a_file_says_its_frames_and_joints(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize("work", [
     lambda: resample(make_walk(60), 480.0),
     lambda: mk.synthesize("walking:3000"),
+    lambda: join_motions([make_walk(600), make_walk(600)]),
+    lambda: evaluate_motion(make_walk(600), make_walk(600)),
 ])  # fmt: skip
 def test_it_is_asked_before_the_work(monkeypatch: pytest.MonkeyPatch, work) -> None:
     monkeypatch.setattr(free_memory, "free_memory", lambda: 10**6)
