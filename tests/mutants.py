@@ -1,5 +1,7 @@
 """Changes one thing of the source at a time, and counts how many of these mutants the tests see.
 
+A mutant is judged by the tests that call the function it is in; one outside of functions by all tests of its room.
+
 python tests/mutants.py [--count 40] [--seed 0] [ROOM ...]     rooms: metrics, files, editing, export
 """
 
@@ -13,9 +15,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
 
 ROOT = Path(__file__).resolve().parents[1]
 # Room -> its source, below src/motionkit, and its tests.
@@ -78,10 +82,13 @@ def mutants(tree: ast.Module) -> Iterator[tuple[int, str, ast.AST, str, object]]
             )
 
 
-def seen(copy: Path, tests: list[str]) -> bool:
+def seen(copy: Path, tests: list[str], **words: str) -> bool:
     """Whether the tests fail with a copy of the source."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]
-    paths = {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+    if words:
+        command += ["-p", "mutants"]
+    paths = {"PYTHONPATH": os.pathsep.join([str(copy), str(ROOT / "tests")]), "PYTHONDONTWRITEBYTECODE": "1"}
+    paths |= words
     try:
         done = subprocess.run(
             command, cwd=ROOT, env=os.environ | paths, capture_output=True, timeout=PATIENCE
@@ -89,6 +96,55 @@ def seen(copy: Path, tests: list[str]) -> bool:
     except subprocess.TimeoutExpired:
         return True
     return done.returncode != 0
+
+
+# ---- which tests call a function: this file as a plugin of pytest ----
+
+CALLS = os.environ.get("MOTIONKIT_CALLS")  # file to write, a line for each test and function
+if CALLS:
+    import pytest
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+        found: set[tuple[str, int]] = set()
+
+        def note(frame: FrameType, event: str, argument: object) -> None:
+            if event == "call":
+                found.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
+
+        threading.setprofile(note)
+        sys.setprofile(note)
+        try:
+            return (yield)
+        finally:
+            sys.setprofile(None)
+            threading.setprofile(None)  # type: ignore[arg-type]
+            with open(str(CALLS), "a", encoding="utf-8") as file:
+                file.writelines(
+                    f"{name}\t{line}\t{item.nodeid}\n" for name, line in found if "motionkit" in name
+                )
+
+
+def callers(copy: Path, room: str) -> dict[tuple[str, int], list[str]]:
+    """File below the copy and first line of each function that the tests of a room call, and these tests."""
+    calls = copy.parent / f"{room}.calls"
+    assert not seen(copy, ROOMS[room][1], MOTIONKIT_CALLS=str(calls)), f"{room}: fails without a mutant"
+    found: dict[tuple[str, int], list[str]] = {}
+    for line in calls.read_text("utf-8").splitlines():
+        name, first, test = line.split("\t")
+        found.setdefault((os.path.relpath(name, copy), int(first)), []).append(test)
+    return found
+
+
+def first_line(tree: ast.Module, line: int) -> int | None:
+    """First line of the innermost function around a line, its decorators included; None outside of functions."""
+    around = [
+        min([node.lineno, *(each.lineno for each in node.decorator_list)])
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+        and node.lineno <= line <= (node.end_lineno or node.lineno)
+    ]
+    return max(around, default=None)
 
 
 def main() -> None:
@@ -105,15 +161,21 @@ def main() -> None:
     killed = 0
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(shutil.copytree(ROOT / "src", Path(folder) / "src"))
-        for room in asked.rooms:
-            assert not seen(copy, ROOMS[room][1]), f"the tests of {room} fail without a mutant"
+        called = {room: callers(copy, room) for room in sorted({room for room, _, _ in chosen})}
         for number, (room, path, which) in enumerate(sorted(chosen), 1):
             text, place = path.read_text("utf-8"), copy / path.relative_to(ROOT / "src")
             tree = ast.parse(text)
             line, said, node, field, value = list(mutants(tree))[which]
             setattr(node, field, value)
             place.write_text(ast.unparse(ast.fix_missing_locations(tree)), "utf-8")
-            began, dead = time.monotonic(), seen(copy, ROOMS[room][1])
+            function = first_line(ast.parse(text), line)
+            tests = called[room].get((str(place.relative_to(copy)), function or 0), [])
+            began = time.monotonic()
+            dead = (
+                seen(copy, ROOMS[room][1] if function is None else tests)
+                if function is None or tests
+                else False
+            )
             place.write_text(text, "utf-8")
             killed += dead
             where = f"{path.relative_to(ROOT)}:{line}"

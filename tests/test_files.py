@@ -77,6 +77,22 @@ def test_a_file_over_the_limit_is_refused_unread(tmp_path: Path) -> None:
     assert "has 2 GB, expected a dataset of at most 1 MB" in refusal(tmp_path / "sparse")
 
 
+@pytest.mark.parametrize(
+    ("limit", "says"),
+    [
+        (0, "0 bytes"), (1023, "1023 bytes"), (1024, "1 kB"), (1536, "1.5 kB"), (2**20 - 1024, "1023 kB"),
+        (2**20, "1 MB"), (2**30 - 2**20, "1023 MB"), (2**30, "1 GB"), (5 * 2**29, "2.5 GB"),
+    ],
+)  # fmt: skip
+def test_sizes_are_told_in_units_that_people_read(tmp_path: Path, limit: int, says: str) -> None:
+    with (tmp_path / "a").open("wb") as file:
+        file.truncate(limit)
+    assert check_regular(tmp_path / "a", limit) == limit, "as large as may be"
+    with (tmp_path / "a").open("ab") as file:
+        file.truncate(limit + 1)
+    assert refusal(tmp_path / "a", limit).endswith(f"expected a dataset of at most {says}")
+
+
 def test_folder_missing_file_and_impossible_name(tmp_path: Path) -> None:
     assert "is a folder, expected a dataset" in refusal(tmp_path)
     assert "no such file" in refusal(tmp_path / "nowhere")
@@ -128,6 +144,7 @@ def test_a_file_that_grows_while_it_is_read(tmp_path: Path, monkeypatch: pytest.
         ('{"a":' * 100_000 + "1", "nested more than"),
         ("[" + "[],{}," * 1_000_000 + "[]]", "more than 2000000 lists"),
         ("9" * 401, "401 digits"),
+        ("-" + "9" * 41, "41 digits"),
         ("[1e400]", "1e400 is not a finite number"),
         (f"[{'9' * 30}e999]", f"({'9' * 20} is not a finite number"),
         ("[NaN]", "NaN is not a finite number"),
@@ -151,6 +168,7 @@ def test_json_as_deep_as_may_be_and_brackets_in_strings(tmp_path: Path) -> None:
 
 def test_one_level_too_many_is_refused() -> None:
     parse_json("[" * MAX_JSON_DEPTH + "]" * MAX_JSON_DEPTH, "a")
+    assert parse_json("-" + "9" * 40, "a") == 1 - 10**40, "as long as may be"
     with pytest.raises(MotionkitError, match=f"more than {MAX_JSON_DEPTH} levels"):
         parse_json("[" * (MAX_JSON_DEPTH + 1) + "]" * (MAX_JSON_DEPTH + 1), "a")
 
@@ -262,6 +280,31 @@ def test_so_many_may_write_one_file(tmp_path: Path) -> None:
         with pytest.raises(MotionkitError, match=f"a: cannot be written .{SLOTS} other runs"):
             stack.enter_context(atomic_write(tmp_path / "a"))
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_temporary_file_that_others_removed_is_told_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(MotionkitError, match=r"a: cannot be written .No such file"):
+        with atomic_write(tmp_path / "a") as file:
+            file.write("x")
+            for left in tmp_path.iterdir():
+                left.unlink()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_broken_writer_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("old")
+    with pytest.raises(KeyError), atomic_write(tmp_path / "a") as file:
+        file.write("x" * 10_000)
+        raise KeyError
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
+
+
+@pytest.mark.parametrize(
+    ("name", "longest", "stays"), [("x" * 80, 80, True), ("x" * 81, 80, False), ("ä" * 40, 80, True)]
+)
+def test_the_longest_name(name: str, longest: int, stays: bool) -> None:
+    safe = safe_name(name, longest)
+    assert (safe == name) == stays and len(safe.encode()) == longest
 
 
 def test_files_with_the_mark_are_ours(tmp_path: Path) -> None:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import resource
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import motionkit as mk
 from motionkit import free_memory
+from motionkit.editing.join import join_motions
 from motionkit.errors import MotionkitError
+from motionkit.metrics.report import evaluate_motion
+from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.motion.motion import resample
 from synthetic_motions import make_walk
 
@@ -26,9 +30,33 @@ def test_what_would_fit_is_said_and_fits(monkeypatch: pytest.MonkeyPatch) -> Non
     free_memory.check_memory(416 * 120, 50, 120.0)
 
 
+def test_a_file_that_cannot_even_be_read_is_refused_unread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_bvh(tmp_path / "a.bvh", make_walk(600))
+    size = (tmp_path / "a.bvh").stat().st_size
+    monkeypatch.setattr(free_memory, "free_memory", lambda: 3 * size)
+    monkeypatch.setattr("motionkit.motion.bvh_text.read_bytes", None)
+    with pytest.raises(
+        MotionkitError, match=r"a.bvh: 0 MB of text take about .* are free; expected at most 0 MB"
+    ):
+        read_bvh(tmp_path / "a.bvh")
+
+
+def test_a_file_says_its_frames_and_joints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_bvh(tmp_path / "a.bvh", make_walk(600))
+    monkeypatch.setattr(free_memory, "free_memory", lambda: 5 * 10**6)
+    with pytest.raises(
+        MotionkitError, match=r"a.bvh.*: 600 frames of 23 joints take about .* at most 9 s at 60 fps"
+    ):
+        read_bvh(tmp_path / "a.bvh")
+
+
 @pytest.mark.parametrize("work", [
     lambda: resample(make_walk(60), 480.0),
     lambda: mk.synthesize("walking:3000"),
+    lambda: join_motions([make_walk(600), make_walk(600)]),
+    lambda: evaluate_motion(make_walk(600), make_walk(600)),
 ])  # fmt: skip
 def test_it_is_asked_before_the_work(monkeypatch: pytest.MonkeyPatch, work) -> None:
     monkeypatch.setattr(free_memory, "free_memory", lambda: 10**6)

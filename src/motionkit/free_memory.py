@@ -10,6 +10,8 @@ from motionkit.errors import MotionkitError
 
 # Most that a command takes for a frame of a joint of each clip, in bytes: retargeting.
 BYTES_OF_JOINT = 400
+BYTES_BESIDE = 250  # the same for work with several clips at once, beside the clips themselves
+BYTES_OF_TEXT = 4  # most that reading takes for a byte of a text file: its bytes, its letters and its lines
 # Of control groups, as containers have them, version 2 and 1: limit and use.
 _GROUPS = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
@@ -22,13 +24,26 @@ def free_memory() -> int:
     return min(_system(), *(_number(limit) - _number(used, 0) for limit, used in _GROUPS), _own())
 
 
-def check_memory(frames: int, joints: int, fps: float) -> None:
-    """Raise MotionkitError for motion of so many frames and joints that does not fit into memory."""
-    needed, free = frames * joints * BYTES_OF_JOINT, free_memory()
+def check_memory(frames: int, joints: int, fps: float, each: int = BYTES_OF_JOINT) -> None:
+    """Raise MotionkitError for motion of so many frames and joints that does not fit into memory.
+
+    each: bytes for a frame of a joint.
+    """
+    needed, free = frames * joints * each, free_memory()
     if needed > free:
         raise MotionkitError(
             f"{frames:,} frames of {joints} joints take about {needed / 1e9:.2g} GB of memory, {free / 1e9:.2g} are "
-            f"free; expected at most {free // (joints * BYTES_OF_JOINT * fps):.0f} s at {fps:g} fps: cut it into parts"
+            f"free; expected at most {max(free, 0) // (joints * each * fps):.0f} s at {fps:g} fps: cut it into parts"
+        )
+
+
+def check_text(size: int) -> None:
+    """Raise MotionkitError for a text file of so many bytes that cannot be read in the memory that is free."""
+    needed, free = size * BYTES_OF_TEXT, free_memory()
+    if needed > free:
+        raise MotionkitError(
+            f"{size / 1e6:.0f} MB of text take about {needed / 1e9:.2g} GB of memory, {free / 1e9:.2g} are free; "
+            f"expected at most {max(free, 0) // BYTES_OF_TEXT / 1e6:.0f} MB: cut it into parts"
         )
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from motionkit.locks import held
 from motionkit.motion.bvh import write_bvh
+from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_walk
 
 TINY = ("--preset", "tiny", "--steps", "1", "--device", "cpu")
@@ -23,6 +27,7 @@ TINY = ("--preset", "tiny", "--steps", "1", "--device", "cpu")
 def clips(tmp_path: Path) -> None:
     (tmp_path / "clips").mkdir()
     write_bvh(tmp_path / "clips" / "walk.bvh", make_walk(60))
+    (tmp_path / "hero.glb").write_bytes(skinned(CHARACTERS["plain"]()))
 
 
 def visible(folder: Path) -> dict[str, bytes]:
@@ -116,6 +121,9 @@ WRITING: list[tuple[tuple[str, ...], int]] = [
     (("loop", "clips/walk.bvh", "-o", "out/a.bvh"), 1),
     (("fix", "clips/walk.bvh", "-o", "out/a.bvh"), 1),
     (("retarget", "clips/walk.bvh", "--rig", "clips/walk.bvh", "-o", "out/a.bvh"), 1),
+    (("retarget", "clips/walk.bvh", "--rig", "hero.glb", "-o", "out/a.glb"), 1),
+    (("join", "clips/walk.bvh", "clips/walk.bvh", "-o", "out/a.glb", "--rig", "hero.glb"), 1),
+    (("fix", "clips", "-o", "out", "--jobs", "1"), 1),
     (("follow-path", "line", "--size", "0.2", "--model", "MODEL", "--seed", "SEED", "-o", "out/a.bvh"), 1),
     *((("view", "clips/walk.bvh", "-o", f"out/a.{ending}"), 1) for ending in ("html", "png", "gif")),
     (("preprocess", "clips", "-o", "out/ds"), 6),
@@ -126,6 +134,12 @@ writing = pytest.mark.parametrize(
     ("words", "several"),
     [pytest.param(*each, marks=[pytest.mark.slow] * (each is not WRITING[0])) for each in WRITING],
 )
+
+
+def started(folder: Path, at: int, words: Sequence[object]) -> subprocess.Popen:
+    """A run that is killed at its at-th call that makes a file last."""
+    command = [sys.executable, "-c", KILLED_AT, str(at), *map(str, words)]
+    return subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 class Killed:
@@ -143,10 +157,7 @@ class Killed:
     def begun(self, at: int, seed: int) -> subprocess.Popen:
         """A run that is killed at its at-th call that makes a file last."""
         places = {"SEED": str(seed), "MODEL": str(self.model)}
-        command = [sys.executable, "-c", KILLED_AT, str(at), *(places.get(word, word) for word in self.words)]
-        return subprocess.Popen(
-            command, cwd=self.folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
+        return started(self.folder, at, [places.get(word, word) for word in self.words])
 
     def finishes(self, run: subprocess.Popen) -> bool:
         """Whether a run was not killed; each file is the old or the new one, and the next run cleans up."""
@@ -189,3 +200,24 @@ def test_a_run_killed_at_any_moment_leaves_whole_files(
         run.kill()
         kills += not runs.finishes(run)
     print(f"killed {kills} times: {' '.join(words)}")
+
+
+@pytest.mark.slow
+def test_a_killed_experiment_leaves_a_whole_result_or_none(tmp_path: Path, paper_folder: Path) -> None:
+    words = ["experiment", "run", "last frame", "--set", "all", "--data", paper_folder, "--frames", 30]
+    chance, kills, lasts, began = random.Random(1), 0, 0.0, time.monotonic()
+    for at in (0, 1, 2, *[0] * int(os.environ.get("MOTIONKIT_KILLS", "4"))):
+        run = started(tmp_path, at, [*words, "--results", "out"])
+        if at == 0 and kills:
+            time.sleep(lasts * chance.uniform(0.4, 1.0))
+            run.kill()
+        killed = run.wait() == -signal.SIGKILL
+        kills += killed
+        made = [data for name, data in visible(tmp_path / "out").items() if name.endswith(".json")]
+        assert len(made) == (not killed) and all(json.loads(data)["groups"] for data in made)
+        assert started(tmp_path, 0, [*words, "--results", "out"]).wait() == 0
+        assert len(visible(tmp_path / "out")) == 1, "what the killed run left is not cleaned up"
+        shutil.rmtree(tmp_path / "out")
+        lasts = 0.5 * (time.monotonic() - began) if not kills else lasts
+    print(f"killed {kills} times: {' '.join(map(str, words))}")
+    assert kills >= 2

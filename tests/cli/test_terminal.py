@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import select
 import struct
 import subprocess
 import sys
@@ -71,7 +72,8 @@ def in_terminal(
     def run(columns: int, *words: object) -> tuple[int, str]:
         ours, theirs = open_terminal(columns)
         said: list[bytes] = []
-        reader = threading.Thread(target=lambda: said.extend(iter(lambda: _read(ours), b"")))
+        over = threading.Event()
+        reader = threading.Thread(target=lambda: said.extend(_read(ours, over)))
         reader.start()
         code = 0
         with standard_streams_in(theirs, monkeypatch):
@@ -80,19 +82,26 @@ def in_terminal(
                 main()
             except SystemExit as stop:
                 code = int(stop.code or 0)
+        over.set()
+        reader.join()
         os.close(theirs)
-        reader.join(timeout=20)
         os.close(ours)
         return code, b"".join(said).decode("utf-8")
 
     return run
 
 
-def _read(terminal: int) -> bytes:
-    try:
-        return os.read(terminal, 65536)
-    except OSError:  # the other end is closed
-        return b""
+def _read(terminal: int, over: threading.Event) -> Iterator[bytes]:
+    """What is written to a terminal until a command is over.
+
+    Its other end may stay open: a helper that multiprocessing starts keeps its standard error to the end of the tests.
+    """
+    while True:
+        last = over.is_set()
+        if select.select([terminal], [], [], 0.05)[0]:
+            yield os.read(terminal, 65536)
+        elif last:
+            return
 
 
 def drawn_lines(text: str) -> list[str]:

@@ -16,10 +16,11 @@ import pytest
 from motionkit.editing.fix import Fixed, Repairs, fix_motion
 from motionkit.editing.join import join_motions
 from motionkit.editing.loop import make_loop
-from motionkit.editing.rest_frame import with_rest_frame
+from motionkit.editing.rest_frame import with_rest_frame, with_rest_pose
 from motionkit.editing.root_from_feet import root_from_feet
 from motionkit.editing.root_motion import at_origin, in_place, with_ground_root
 from motionkit.editing.trim import moving_frames
+from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
@@ -72,6 +73,18 @@ def looped(name: str, **options: float) -> list[float]:
     return [loop.start, loop.end, loop.difference, *loop.seam.as_dict().values(), *figures(loop.motion)]
 
 
+def every_loop() -> list[float]:
+    """Which clips repeat, and where the best cycle of each begins and ends."""
+    out: list[float] = []
+    for number, path in enumerate(sorted(DATA.glob("*.bvh"))):
+        try:
+            loop = make_loop(clip(path.stem, 30.0))
+        except MotionkitError:
+            continue
+        out += [number, loop.start, loop.end, loop.difference]
+    return out
+
+
 def joined(*names: str, **options: object) -> list[float]:
     made = join_motions([clip(name) for name in names], **options)  # type: ignore[arg-type]
     seams = [value for seam in made.seams for value in (seam.frame, seam.apart, *(seam.sliding or ()))]
@@ -120,15 +133,35 @@ VALUES: dict[str, list[float]] = {
     "ground root twice": [135, -1.0495, -6.868, 8.4167],
     "rest frame": [128, 18.0227, 0.415, 13.3054],
     "moving frames": [50, 190],
+    "loop every clip": [
+        1, 99, 127, 5.7313, 6, 5, 63, 2.4862, 8, 14, 94, 3.1302, 9, 5, 65, 6.1096, 10, 39, 67, 3.8296, 15, 8,
+        29, 4.7573, 16, 9, 29, 5.465, 20, 9, 43, 1.508, 21, 21, 59, 1.182, 22, 16, 115, 7.6529, 24, 47, 130,
+        7.567,
+    ],
+    "join while they run": [
+        51, 4.5333, 57.8016, 17.9705, 107, 3.5504, 42.3684, 27.6881, 239, 11.4777, 23.4381, 11.9479, 301,
+        3.7812, -54.0596, -8.3065,
+    ],
+    "join jumps": [233, 3.53, 4.3059, 0.9142, 421, -6.041, -3.4535, 6.3836],
+    "rest pose": [127, 19.5049, -2.7639, 12.3023],
+    "fix a run": [
+        1, 2, 0, 24.6327, 3.8703, 0.4816, 0.163, 0.4053, 0.0758, 1, 0.5, 94575.0092, 311.0169, 68, 41.6536,
+        -34.011, 26.5875,
+    ],
+    "root from feet, jumps": [148, -27.3119, 66.5868, -2.1745],
+    "root from feet, cartwheel": [241, 114.7687, -115.8807, 15.9782],
 }
 # fmt: on
 EDITS: dict[str, Callable[[], list[float]]] = {
     **{f"loop {name}": lambda name=name: looped(name) for name in ("06_06", "16_26", "16_45", "49_06")},
     **{f"loop {wish} s": lambda wish=wish: looped("35_01", seconds=wish) for wish in (0.5, 1.3, 2.4, 9.0)},
+    "loop every clip": every_loop,
     "loop at the origin": lambda: looped("16_45", from_origin=True),
     "join": lambda: joined("16_26", "35_01", "16_45"),
     "join at once": lambda: joined("16_45", "35_30", blend=0.1, window=0.4, fps=30.0),
     "join at times": lambda: joined("16_26", "35_01", at=[(1.0, 0.5)]),
+    "join while they run": lambda: joined("16_45", "16_46", "16_57", "16_48", window=0.6),
+    "join jumps": lambda: joined("16_02", "16_04", blend=1.5),
     "fix": lambda: fixed(fix_motion(damaged("35_30"))),
     "fix half": lambda: fixed(fix_motion(damaged("16_26"), Repairs(strength=0.5))),
     "fix a root": lambda: fixed(fix_motion(pinned("16_02"), Repairs(root_from_feet=True))),
@@ -141,6 +174,10 @@ EDITS: dict[str, Callable[[], list[float]]] = {
     },
     "ground root twice": lambda: figures(with_ground_root(with_ground_root(clip("16_26")), True)),
     "rest frame": lambda: figures(with_rest_frame(clip("35_30"))),
+    "rest pose": lambda: figures(with_rest_pose(clip("35_30"), "apose")),
+    "fix a run": lambda: fixed(fix_motion(damaged("16_45"), Repairs(strength=2.0, sliding=False))),
+    "root from feet, jumps": lambda: figures(root_from_feet(human(pinned("16_05")))),
+    "root from feet, cartwheel": lambda: figures(root_from_feet(human(pinned("49_06")))),
     "moving frames": lambda: list(moving_frames(make_cartwheel(240))),
 }
 

@@ -24,6 +24,7 @@ from motionkit.names import visible
 
 # Every long test takes its share of this time; those of models and their runs take a half.
 SLOW_SECONDS = float(os.environ.get("MOTIONKIT_FUZZ_SECONDS", "1200"))
+SLOW_SEED = int(os.environ.get("MOTIONKIT_FUZZ_SEED", "1000000"))  # of the first case of each
 CASE_SECONDS = 20
 READING_SECONDS = 1.0  # of the processor, for a file of some kB
 CASE_BYTES = 2**30
@@ -251,17 +252,17 @@ def files_below(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*")}
 
 
-def for_seconds(seconds: float, case: Callable[[random.Random], object], first_seed: int = 0) -> None:
+def for_seconds(seconds: float, case: Callable[[random.Random], object]) -> None:
     """Run a case with one seed after the other until the time is up, at least one, and print how many.
 
     A failure names its seed.
     """
-    end, seed = time.monotonic() + seconds, first_seed
-    while seed == first_seed or time.monotonic() < end:
+    end, seed = time.monotonic() + seconds, SLOW_SEED
+    while seed == SLOW_SEED or time.monotonic() < end:
         try:
             case(random.Random(seed))
         except BaseException as error:
             error.add_note(f"seed {seed}") if hasattr(error, "add_note") else None
             raise
         seed += 1
-    print(f"{seed - first_seed} tried")
+    print(f"{seed - SLOW_SEED} tried")

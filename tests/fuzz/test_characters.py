@@ -143,4 +143,4 @@ def test_characters(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None
 
 @pytest.mark.slow
 def test_characters_for_long(tmp_path: Path) -> None:
-    for_seconds(0.1 * SLOW_SECONDS, lambda chance: character_case(chance, tmp_path)(), 10**6)
+    for_seconds(0.1 * SLOW_SECONDS, lambda chance: character_case(chance, tmp_path)())

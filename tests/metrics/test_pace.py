@@ -16,3 +16,14 @@ def test_speed_and_braking_are_those_of_the_track() -> None:
         0.15, abs=1e-6
     )
     assert ground_acceleration(root, 60.0) == pytest.approx(np.full(97, 1.5), abs=1e-6)
+
+
+def test_pace_is_that_over_a_fifth_of_a_second() -> None:
+    root = np.zeros((100, 3))
+    root[50:, 0] = 6.0
+    for fps, frames in ((60.0, 12), (30.0, 6), (2.0, 1)):
+        velocity = ground_velocity(root, fps)
+        assert len(velocity) == 100 - frames and (velocity[:, 0] > 0).sum() == frames
+        assert velocity[:, 0].max() == pytest.approx(0.06 * fps / frames)
+        assert len(ground_acceleration(root, fps)) == 100 - 2 * frames
+        assert ground_acceleration(root, fps).max() == pytest.approx(0.06 * (fps / frames) ** 2)

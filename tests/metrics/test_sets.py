@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from motionkit.errors import MotionkitError
-from motionkit.metrics.distribution import diversity, frechet_distance
+from motionkit.features.reference import PoseEmbedding
+from motionkit.metrics.distribution import diversity, frechet_distance, multimodality, window_features
 from motionkit.metrics.sets import set_metrics
 
 from .conftest import placed, swaying
@@ -22,6 +23,35 @@ def test_frechet_distance_of_known_gaussians() -> None:
     assert frechet_distance(3.0 * middle, middle).value == pytest.approx(4.0 * wanted)
     with pytest.raises(MotionkitError, match="found 1 and 500"):
         frechet_distance(real[:1], real)
+
+
+def test_moving_few_windows_is_all_that_is_measured() -> None:
+    """Windows that leave most directions out, as a few short clips do."""
+    few = np.random.default_rng(1).standard_normal((5, 40))
+    assert frechet_distance(few, few).value == pytest.approx(0.0, abs=1e-3)
+    assert frechet_distance(few + 0.5, few).value == pytest.approx(10.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("frames", "starts"), [(1, [0]), (60, [0]), (69, [0]), (70, [0, 10]), (95, [0, 10, 20, 30])]
+)
+def test_a_motion_is_windows_of_a_second_ten_frames_apart(frames: int, starts: list[int]) -> None:
+    poses = np.random.default_rng(0).standard_normal((frames, 24)).astype(np.float32)
+    embedding = PoseEmbedding(np.eye(24, dtype=np.float32), np.zeros(24, np.float32))
+    found = window_features(poses, embedding)
+    assert len(found) == len(starts)
+    for row, start in zip(found, starts, strict=True):
+        window = poses[start : start + 60]
+        assert row == pytest.approx(np.concatenate([window.mean(axis=0), window.std(axis=0)]), abs=1e-5)
+
+
+def test_multimodality_is_the_distance_within_types_of_two_motions() -> None:
+    """Of two types, 5 and 13 apart, as often as each other; a type of one motion is left out."""
+    types = [[np.zeros((3, 2)), np.tile(place, (2, 1))] for place in ([3.0, 4.0], [5.0, 12.0])]
+    found = multimodality([*types, [np.full((4, 2), 99.0)]])
+    assert found.value == pytest.approx(9.0) and found.parameters == {"pairs": 20.0}
+    with pytest.raises(MotionkitError, match="two motions of"):
+        multimodality([types[0][:1]])
 
 
 def test_diversity_of_two_windows_is_their_distance() -> None:

@@ -98,6 +98,13 @@ def test_long_paths_equal_the_plain_search(points: int) -> None:
     assert distance_to_path(track, path) == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.parametrize("points", [2, 63, 64, 65, 66, 128, 129, 130])
+def test_every_segment_of_a_path_is_looked_at(points: int) -> None:
+    """Its middle is on it, and far from all else."""
+    path = np.random.default_rng(points).uniform(-1e4, 1e4, (points, 2))
+    assert distance_to_path(0.5 * (path[1:] + path[:-1]), path) == pytest.approx(0.0, abs=1e-6)
+
+
 def test_turning_and_moving_both_changes_nothing() -> None:
     track, path = circle(150.0, 0.7), line(30)
     c, s = math.cos(1.0), math.sin(1.0)

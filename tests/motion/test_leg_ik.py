@@ -96,3 +96,14 @@ def test_slip_is_that_of_feet_in_contact() -> None:
     assert (
         root_slip(before, moved, contacts)[0, 0] < 0.2 * moved[0, 2, 0] + 0.6
     )  # less than the mean of all four, 1.7
+
+
+def test_a_straight_leg_whose_ankle_stays_does_not_turn() -> None:
+    """Within its last bits, of which a nearly straight leg makes much of an angle."""
+    flexion = np.random.default_rng(0).uniform(0.0, 0.003, 500)
+    hips, knees, ankles = (
+        np.stack(points).astype(np.float32) for points in zip(*map(leg, flexion), strict=True)
+    )
+    swing, opened = leg_turns(hips, knees, ankles, np.tile(SIDE, (500, 1)).astype(np.float32), ankles)
+    still = np.tile(quat_identity(()), (500, 1))
+    assert quat_angle(swing, still).max() < 1e-5 and quat_angle(opened, still).max() < 1e-5

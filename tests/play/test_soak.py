@@ -91,8 +91,13 @@ class Crowd:
         self.over = False  # cancelling is not enough: before Python 3.12, wait_for may swallow it
 
     async def stay(self) -> None:
-        """A client that watches throughout: frames must keep coming, whole and in order."""
-        async with connect(self.told["socket"], compression=None, open_timeout=PATIENCE) as socket:
+        """A client that watches throughout: frames must keep coming, whole and in order.
+
+        Without pings of its own, whose 20 s a busy machine may exceed: frames say that the server lives.
+        """
+        async with connect(
+            self.told["socket"], compression=None, open_timeout=PATIENCE, ping_interval=None
+        ) as socket:
             hello = json.loads(await socket.recv())
             number = 0
             while True:

@@ -20,6 +20,7 @@ from motionkit.editing.loop import pose_rows
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.finish.feet import contacts_around, lock_feet
 from motionkit.finish.on_rig import on_rig
+from motionkit.free_memory import BYTES_BESIDE, check_memory
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.motion.bvh import motion_to_bvh
 from motionkit.motion.floor import floor_height, floor_shift, foot_positions
@@ -129,6 +130,7 @@ def join_motions(
     names = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
     if len(motions) < 2:
         raise MotionkitError(f"expected at least 2 clips to join, found {len(motions)}")
+    check_memory(sum(map(len, motions)), len(motions[0].skeleton), motions[0].fps, BYTES_BESIDE)
     if at is not None and len(at) != len(motions) - 1:
         raise MotionkitError(f"{len(motions)} clips have {len(motions) - 1} joins, found times for {len(at)}")
     rate = fps or motions[0].fps

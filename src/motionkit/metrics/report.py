@@ -12,6 +12,7 @@ import numpy as np
 
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.features.heading import heading_angles
+from motionkit.free_memory import BYTES_BESIDE, check_memory
 from motionkit.metrics.body_movement import body_movement
 from motionkit.metrics.foot_sliding import average_foot_sliding, sliding_over_ground
 from motionkit.metrics.ground import STANDING_TOE, foot_skate_ratio, penetration
@@ -185,6 +186,8 @@ def evaluate_motion(
     motions = [motion] if reference is None else [motion, reference]
     for each, name in zip(motions, _names(motions), strict=True):
         _check(each, name)
+    if reference is not None:
+        check_memory(len(motion) + len(reference), len(JOINT_NAMES), motion.fps, BYTES_BESIDE)
     notes = _rate_notes(motions)
     whole = [resample(each, FRAME_RATE) for each in motions]
     starts = [skip, skip + given][: len(whole)]  # frames to leave out of each

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionkit.errors import BvhError, MotionkitError
-from motionkit.files import read_bytes
-from motionkit.free_memory import check_memory
+from motionkit.files import check_regular, read_bytes
+from motionkit.free_memory import check_memory, check_text
 from motionkit.motion.bvh_rows import Notes, floats, read_rows
 from motionkit.motion.motion import longest_seconds
 from motionkit.reading import tell
@@ -81,7 +81,9 @@ def read_bvh_text(path: str | Path) -> BvhText:
     columns = [column for tree in trees for column in tree.columns]
     frames, frame_time, first_row = _check_motion_header(path, lines, motion_line, notes)
     try:
-        check_memory(len(lines) - first_row, len(columns) // 3, 1.0 / frame_time)
+        # A root that moves has two triples of channels; rows end with the last line, which may be empty.
+        rows = len(lines) - first_row - (not lines[-1].strip())
+        check_memory(rows, max(1, (len(columns) - 3) // 3), 1.0 / frame_time)
     except MotionkitError as error:
         raise BvhError(path, str(error), first_row) from None
     values = read_rows(lines, first_row, frames, [name for name, _ in columns], notes)
@@ -129,6 +131,7 @@ def _read_lines(path: str | Path, notes: Notes) -> list[str]:
 
 def _read_bytes(path: str | Path) -> bytes:
     try:
+        check_text(check_regular(path, MAX_BYTES, "a BVH file"))
         data = read_bytes(path, MAX_BYTES, "a BVH file")
     except MotionkitError as error:
         raise BvhError(path, str(error).removeprefix(f"{path}: ")) from None

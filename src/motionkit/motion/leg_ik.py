@@ -248,18 +248,22 @@ def leg_turns(hips: Array, knees: Array, ankles: Array, side: Array, targets: Ar
     thigh, shin = knees - hips, ankles - knees
     thigh_length, shin_length = length(thigh), length(shin)
     axis = _knee_axis(thigh / thigh_length[..., None], shin / shin_length[..., None], side)
-    now = length(ankles - hips)
-    whole = thigh_length + shin_length
-    reach = np.maximum(length(targets - hips), np.abs(thigh_length - shin_length) + 0.5)
-    reach = np.minimum(reach, np.maximum(LOCK.max_reach * whole, now))
-    # With the shin at angle p about the axis, the squared distance from hip to ankle is along + 2 (b cos p + c sin p).
+    leg, shift = ankles - hips, targets - ankles
+    now, wish = length(leg), length(targets - hips)
+    shortest = np.abs(thigh_length - shin_length) + 0.5
+    longest = np.maximum(LOCK.max_reach * (thigh_length + shin_length), now)
+    reach = np.clip(wish, shortest, longest)
+    # By how much the squared distance changes. A nearly straight leg makes much of an angle of its last bits, so it
+    # comes from the shift, which is exact where the ankle stays.
+    change = np.where(reach == wish, (shift * (2.0 * leg + shift)).sum(-1), (reach - now) * (reach + now))
+    # With the shin at angle p about the axis, it is 2 (b cos p + c sin p) and a constant.
     turned = cross(axis, shin)
     on_axis = (thigh * axis).sum(-1) * (shin * axis).sum(-1)
     b, c = (thigh * shin).sum(-1) - on_axis, (thigh * turned).sum(-1)
-    along = thigh_length * thigh_length + shin_length * shin_length + 2.0 * on_axis
     flexed = np.arctan2(c, b)  # negative for a knee bent backwards
     size = np.maximum(np.sqrt(b * b + c * c), 1e-9)
-    wanted = np.arccos(np.clip((reach * reach - along) / (2.0 * size), -1.0, 1.0))
+    half = np.sin(0.5 * flexed) ** 2 - change / (4.0 * size)
+    wanted = 2.0 * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0)))
     eased = np.clip(flexed + STRAIGHTENING * (wanted + flexed), 0.0, wanted)
     opened = _about(axis, flexed - np.where(flexed < 0.0, eased, wanted))
     bent = thigh + quat_rotate(opened, shin)
