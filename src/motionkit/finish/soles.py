@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from motionkit.arrays import Array, length, normalized, peak_smoothed
-from motionkit.finish.feet import FLOOR_FADE, LIFT_FRAMES, faded, hip_drop, locked_spans
+from motionkit.arrays import Array, length, normalized, peak_smoothed, smoothed
+from motionkit.finish.feet import FLOOR_FADE, faded, hip_drop, locked_spans
 from motionkit.motion.contacts import CONTACT_HEIGHTS
 from motionkit.motion.frame_rate import frames_at
 from motionkit.motion.kinematics import motion_kinematics
@@ -30,6 +30,9 @@ from motionkit.rig.soles import Sole
 
 _UP = np.array([0.0, 1.0, 0.0], np.float32)
 _NEAR = CONTACT_HEIGHTS[1] - STANDING_HEIGHTS[1]  # cm above the floor up to which a contact counts fully
+
+_TIP = 0.5  # share of the toes' length beyond which their points rise as they bend
+_EASE_FRAMES = 4  # over which ankles and toes follow the floor, before and after; at 60 fps
 
 
 def plant_soles(body: Motion, soles: tuple[Sole, Sole], contacts: Array) -> Motion:
@@ -87,10 +90,13 @@ def _rises(missing: Array, touching: Array, fps: float) -> Array:
     near = np.clip(1.0 - (-missing - _NEAR) / FLOOR_FADE, 0.0, 1.0)
     spans = locked_spans((touching * near)[:, None], fps)
     held = [missing[start:end, None] for start, end in spans]
-    rises = faded(held, spans, (len(missing), 1), frames_at(LOCK.ease_frames, fps))[:, 0]
-    more = np.maximum(missing - rises, 0.0)
-    smooth: Array = peak_smoothed(more, more[:, None], frames_at(LIFT_FRAMES, fps))
-    return rises + smooth[:, 0]
+    rises = faded(held, spans, (len(missing), 1), frames_at(LOCK.ease_frames, fps))
+    rises = smoothed(
+        rises, frames_at(_EASE_FRAMES, fps)
+    )  # where a foot comes down fast, its lowest point jumps
+    more = np.maximum(missing[:, None] - rises, 0.0)
+    out: Array = (rises + peak_smoothed(more[:, 0], more, frames_at(_EASE_FRAMES, fps)))[:, 0]
+    return out
 
 
 def _moved(body: Motion, turns: Array, positions: Array, shifts: Array) -> Motion:
@@ -99,9 +105,7 @@ def _moved(body: Motion, turns: Array, positions: Array, shifts: Array) -> Motio
     rotations, level = body.local_rotations.copy(), np.zeros((len(body), 2, 4), turns.dtype)
     level[..., 0] = 1.0
     move_feet(rotations, positions + drop[:, None], quat_to_matrix(turns), level, shifts - drop[:, None])
-    return replace(
-        body, local_rotations=quat_normalize(rotations), root_positions=body.root_positions + drop
-    )
+    return replace(body, local_rotations=quat_normalize(rotations), root_positions=body.root_positions + drop)
 
 
 def _toes_above(body: Motion, soles: tuple[Sole, Sole]) -> Motion:
@@ -112,14 +116,17 @@ def _toes_above(body: Motion, soles: tuple[Sole, Sole]) -> Motion:
         if not len(sole.toe):
             continue
         axis, most = _hinge(turns[:, toe], _ahead(body, toe))
-        points = np.einsum("tab,nb->tna", quat_to_matrix(turns[:, toe]), sole.toe)
+        along = sole.toe @ _ahead(body, toe)
+        tips = sole.toe[along > _TIP * along.max()]  # what is nearer to the joint, bending does not lift
+        points = np.einsum("tab,nb->tna", quat_to_matrix(turns[:, toe]), tips)
         # Bent by an angle, a point is still + size sin(angle + now) above the joint.
         still = (points * axis[:, None]).sum(axis=-1) * axis[:, None, 1]
         up, before = points[..., 1] - still, np.cross(axis[:, None], points)[..., 1]
-        size = np.maximum(np.hypot(up, before), 1e-6)
-        floor = np.arcsin(np.clip((-positions[:, toe, 1, None] - still) / size, -1.0, 1.0))
-        needed = np.where(sole.toe @ _ahead(body, toe) > 0.0, floor - np.arctan2(up, before), 0.0).max(axis=1)
-        bent = _bent(turns[:, toe], axis, np.clip(needed, 0.0, most))
+        size, floor = np.maximum(np.hypot(up, before), 1e-6), -positions[:, toe, 1, None]
+        angles = np.arcsin(np.clip((floor - still) / size, -1.0, 1.0)) - np.arctan2(up, before)
+        needed = np.where(up + still < floor, angles, 0.0).max(axis=1)
+        eased = peak_smoothed(needed, needed[:, None], frames_at(_EASE_FRAMES, body.fps))[:, 0]
+        bent = _bent(turns[:, toe], axis, np.minimum(eased, most))
         rotations[:, toe] = quat_normalize(quat_multiply(quat_inverse(turns[:, ankle]), bent))
     return replace(body, local_rotations=rotations)
 
