@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motionkit.arrays import Array, length, normalized, peak_smoothed, smoothed
+from motionkit.arrays import Array, normalized, peak_smoothed, smoothed
 from motionkit.finish.feet import FLOOR_FADE, faded, hip_drop, locked_spans
 from motionkit.motion.contacts import CONTACT_HEIGHTS
 from motionkit.motion.frame_rate import frames_at
