@@ -65,7 +65,7 @@ def lock_feet(motion: Motion, contacts: Array) -> Motion:
     if not moved.any():
         return motion
     pitch, ankle_shifts = pitched_feet(positions, shifts)
-    drop = _hip_drop(motion, positions, ankle_shifts)
+    drop = hip_drop(motion, positions, ankle_shifts)
     rotations, positions = motion.local_rotations.copy(), positions + drop[:, None]
     moved |= (drop != 0.0).any(axis=1)
     turned, world = rotations[moved], quat_to_matrix(turns[moved])
@@ -154,11 +154,11 @@ def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> t
     touching = locked_spans(contacts, fps)
     spans, steps = _still_spans(place, touching, fps, taken)
     holds = [lower_median(place[start:end]) - place[start:end] for start, end in spans]
-    over_ground = _faded(holds, spans, (len(toe), 2), ease)
+    over_ground = faded(holds, spans, (len(toe), 2), ease)
     # Contacts of the toe alone set its height: a heel may touch first.
     spans = locked_spans(contacts[:, 1:], fps)
     standing = np.clip(height, TOE.standing - TOE.slack, TOE.standing + TOE.slack) - height
-    upwards = _faded([standing[start:end] for start, end in spans], spans, (len(toe), 1), ease)
+    upwards = faded([standing[start:end] for start, end in spans], spans, (len(toe), 1), ease)
     upwards += _raised_steps(place + over_ground, steps, frames_at(LOCK.step_frames, fps))
     strides = length(np.diff(place, axis=0, prepend=2.0 * place[:1] - place[1:2]))[:, None]
     missing = np.maximum(lowest_free(strides * (fps / RATE)) - height - upwards, 0.0)
@@ -180,7 +180,7 @@ def _raised_steps(place: Array, steps: list[Span], whole: int) -> Array:
     return out
 
 
-def _faded(shifts: list[Array], spans: list[Span], shape: tuple[int, int], ease: int) -> Array:
+def faded(shifts: list[Array], spans: list[Span], shape: tuple[int, int], ease: int) -> Array:
     """Spread shifts (n, k) of some spans over all frames (T, k); they fade out over `ease` frames.
 
     Frames between two near spans blend both. Within a span only its own shift counts.
@@ -204,7 +204,7 @@ def _easing(frames: int, ease: int) -> Array:
     return smoothstep(1.0 - np.arange(1, frames + 1) / ease)
 
 
-def _hip_drop(motion: Motion, positions: Array, shifts: Array) -> Array:
+def hip_drop(motion: Motion, positions: Array, shifts: Array) -> Array:
     """How far the root moves (T, 3), smoothly, towards ankles that the legs do not reach.
 
     Without it a leg that is stretched while its foot is held snaps back: one leap of a knee in 460 roll-outs.

@@ -8,10 +8,12 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.finish.finish import Finish, Unfinished, finish
+from motionkit.finish.soles import plant_soles
 from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.motion import Motion, resample
 from motionkit.rig.on_rig import canonical_places
 from motionkit.rig.rig import Rig
+from motionkit.rig.soles import read_soles
 from motionkit.rig.to_rig import from_body, on_body, stance, standing_height
 
 
@@ -53,8 +55,11 @@ def _finished(body: Motion, rig: Rig, drawn: Unfinished) -> Motion:
     usual = stance(drawn.motion, rig, contacts)
     if usual is None:  # nothing stands
         return finish(body, contacts, told)
-    body = _standing(body, rig, contacts, usual)
-    return _standing(finish(body, contacts, told), rig, contacts, standing_height(rig, usual))
+    body = finish(_standing(body, rig, contacts, usual), contacts, told)
+    soles = read_soles(rig)
+    if soles is not None:
+        return plant_soles(body, soles, contacts)
+    return _standing(body, rig, contacts, standing_height(rig, usual))
 
 
 def _standing(body: Motion, rig: Rig, contacts: Array, height: float) -> Motion:

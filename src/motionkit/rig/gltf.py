@@ -23,6 +23,7 @@ MAGIC, JSON_CHUNK, BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125
 VERTICES, INDICES = 34962, 34963  # targets of buffer views
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_UNSIGNED = (5121, 5123, 5125)
 _COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _LARGEST = {
     5120: 127,
@@ -199,6 +200,14 @@ class GltfFile:
             raise self.fault(f"{where} holds a number that is not finite")
         return values
 
+    def whole_numbers(self, index: Any, width: int) -> Array:
+        """The whole numbers (N, width) of an accessor; raises MotionkitError as array does."""
+        accessor = self.item("accessors", index)
+        where, kind = f"accessors[{index}]", accessor.get("componentType")
+        if kind not in _UNSIGNED or _COUNTS.get(str(accessor.get("type"))) != width:
+            raise self.fault(f"{where} has no {width} whole numbers each")
+        return self._elements(where, accessor, kind, self._whole(accessor, "count", 0), width)
+
     def _replaced(self, where: str, sparse: Any, values: Array, kind: Any) -> Array:
         """Values (N, C) with those that a sparse accessor replaces."""
         indices, others = (
@@ -206,7 +215,7 @@ class GltfFile:
         )
         if not isinstance(indices, dict) or not isinstance(others, dict):
             raise self.fault(f"{where} is sparse without indices and values")
-        if indices.get("componentType") not in (5121, 5123, 5125):
+        if indices.get("componentType") not in _UNSIGNED:
             raise self.fault(f"{where} has sparse indices of an unknown type")
         count = self._whole(sparse, "count", 0)
         places = self._elements(where, indices, indices["componentType"], count, 1)[:, 0].astype(np.int64)
