@@ -18,6 +18,7 @@ from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.export.clip import Clip
 from motionkit.export.figure import Figure, make_figure, skin_weights
 from motionkit.export.formats import WRITERS, check_ending, read_motion, write_motion
+from motionkit.export.tables import contacts
 from motionkit.export.usda import joint_paths
 from motionkit.export.vrma import BONES, humanoid_motion
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
@@ -478,3 +479,48 @@ def test_every_array_of_a_glb_begins_at_a_multiple_of_four() -> None:
         document.accessor(np.zeros((2, 3), np.float32), "VEC3")
     offsets = [view["byteOffset"] for view in document.json["bufferViews"]]
     assert offsets == [0, 8, 32, 40]
+
+
+# ---- channels of a source, heights, and rigs that are not human ----
+
+TURNS, MOVES = ("Zrotation", "Xrotation", "Yrotation"), ("Xposition", "Yposition", "Zposition")
+
+
+@pytest.mark.parametrize(
+    ("hand", "others", "kept"),
+    [
+        (MOVES + TURNS, TURNS, True),
+        (TURNS, TURNS, False),  # the hand moves
+        (MOVES + TURNS, TURNS[:2], False),
+        (MOVES[:2] + TURNS, TURNS, False),
+    ],
+)
+def test_channels_are_kept_that_hold_the_motion(
+    six_channels: Motion, hand: tuple[str, ...], others: tuple[str, ...], kept: bool
+) -> None:
+    channels = [MOVES + TURNS if not joint else others for joint in range(len(JOINT_NAMES))]
+    channels[JOINT_NAMES.index("LeftHand")] = hand
+    clip = Clip(six_channels, "clip", channels=tuple(channels))
+    assert (clip.with_motion(six_channels).channels is not None) == kept
+
+
+def test_contacts_do_not_depend_on_the_floor(walk: Motion) -> None:
+    raised = replace(walk, root_positions=walk.root_positions + np.float32([0.0, 30.0, 0.0]))
+    assert contacts(walk).any() and np.array_equal(contacts(raised), contacts(walk))
+
+
+def test_a_table_of_a_rig_that_is_not_human_has_empty_contacts(tmp_path: Path) -> None:
+    turned = np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (2, 2, 1))
+    skeleton = Skeleton(("Base", "Arm"), (-1, 0), np.float32([[0.0, 0.0, 0.0], [0.0, 10.0, 0.0]]))
+    write_motion(tmp_path / "a.csv", Motion(skeleton, turned, np.zeros((2, 3), np.float32), 30.0))
+    rows = list(csv.DictReader((tmp_path / "a.csv").open()))
+    assert len(rows) == 2 and all(None not in row and None not in row.values() for row in rows)
+    assert {row[name] for row in rows for name in row if name.endswith("_contact")} == {""}
+
+
+def test_spine_and_thighs_hang_from_the_hips_in_a_vrma(walk: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.vrma", walk)
+    document = GltfFile(tmp_path / "a.vrma").json
+    bones = document["extensions"]["VRMC_vrm_animation"]["humanoid"]["humanBones"]
+    children = set(document["nodes"][bones["hips"]["node"]]["children"])
+    assert {bones[name]["node"] for name in ("spine", "leftUpperLeg", "rightUpperLeg")} == children

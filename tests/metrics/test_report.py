@@ -99,6 +99,10 @@ def test_align_start_undoes_place_and_heading(motion: Motion) -> None:
     later = evaluate_motion(away, motion, skip=30, align_start=True)
     assert later.value("path-mean") == pytest.approx(0.0, abs=1e-3)
     assert placed_like(away, motion).root_positions == pytest.approx(motion.root_positions, abs=1e-3)
+    raised = replace(
+        motion, root_positions=motion.root_positions + np.float32([0.0, 20.0, 0.0])
+    )  # heights stay
+    assert placed_like(raised, motion).root_positions == pytest.approx(raised.root_positions, abs=1e-3)
 
 
 def test_other_lengths_are_compared_over_the_common_frames(motion: Motion) -> None:
