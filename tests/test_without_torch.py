@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.thorough
+
 SAMPLE = Path(__file__).resolve().parents[1] / "examples" / "data"
 # A module that is None in sys.modules is one that cannot be imported.
 RUN = """

@@ -26,12 +26,13 @@ def positions(motion: Motion) -> np.ndarray:
 
 def test_convert(motionkit, walk: Motion, tmp_path: Path) -> None:
     write_bvh(tmp_path / "a.bvh", walk)
+    took = "unit: centimetres; +Y up; 23 joints found by name"
     said = motionkit("convert", "a.bvh", "a.glb").out
-    assert said == "wrote a.glb: 23 joints, 40 frames at 60 fps\n  unit: centimetres; +Y up\n"
+    assert said == f"wrote a.glb: 23 joints, 40 frames at 60 fps\n  a.bvh: 40 frames at 60 fps; {took}\n"
     said = motionkit("convert", "a.glb", "b.bvh", "--fps", 30, "--json")
     assert json.loads(said.out) == {
         "file": "a.glb",
-        "taken": "unit: centimetres; +Y up",
+        "taken": f"40 frames at 60 fps; {took}",
         "output": "b.bvh",
         "frames": 20,
         "fps": 30.0,

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 from motionkit.cli.main import cli
 from motionkit.models.bundled import BUNDLED_MODEL
+
+pytestmark = pytest.mark.thorough
 
 
 def test_a_folder_with_the_page_is_written(tmp_path: Path) -> None:

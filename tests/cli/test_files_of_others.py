@@ -20,6 +20,8 @@ from motionkit.motion.bvh import write_bvh
 from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_walk
 
+pytestmark = pytest.mark.thorough
+
 TINY = ("--preset", "tiny", "--steps", "1", "--device", "cpu")
 
 

@@ -72,8 +72,11 @@ def test_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     source, target = tmp_path / "in.bvh", tmp_path / "out.bvh"
     source.write_text(RIG)
     assert run(monkeypatch, "mirror", source, target, "--json") == 0
+    taken = (
+        "2 frames at 20 fps; unit: no human rig; taken as centimetres; +Y up; 3 joints, no known human rig"
+    )
     assert json.loads(capsys.readouterr().out) == {
-        "mirrored": [{"file": str(source), "output": str(target)}],
+        "mirrored": [{"file": str(source), "output": str(target), "taken": taken}],
         "failed": [],
     }
     np.testing.assert_array_equal(read_bvh(target).values[0], [-1, 90, 3, -4, -5, 6, -10, -11, 12, -7, -8, 9])

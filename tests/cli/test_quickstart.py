@@ -22,6 +22,8 @@ from motionkit.training.verdict import types as quick
 from motionkit.training.verdict.types import TypeVerdict
 from synthetic_motions import make_walk
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture
 def clips(clips_folder: Path, tmp_path: Path) -> Path:

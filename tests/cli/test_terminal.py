@@ -20,6 +20,8 @@ from motionkit.names import visible
 
 from .test_mirror import RIG
 
+pytestmark = pytest.mark.thorough
+
 pty = pytest.importorskip("pty")
 fcntl = pytest.importorskip("fcntl")
 termios = pytest.importorskip("termios")

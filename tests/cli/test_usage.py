@@ -17,6 +17,8 @@ from motionkit import __version__
 from motionkit.cli.main import COMMANDS
 from motionkit.models.bundled import BUNDLED_MODEL
 
+pytestmark = pytest.mark.thorough
+
 # Slow imports that --help must avoid.
 HEAVY = ("torch", "numpy", "rich", "bvhio", "safetensors", "PIL")
 ASK_FOR_HELP = """

@@ -14,6 +14,8 @@ from motionkit.inference.noise import Noise
 from motionkit.models.bundled import load_bundled_model
 from motionkit.motion.skeleton import FOOT_JOINTS, STANDING_HEIGHTS
 
+pytestmark = pytest.mark.thorough
+
 PHASES, EVERY, BEGINS, SHOWN = 20, 3, 90, 90  # turns, frames between them, first turn, frames of each
 
 

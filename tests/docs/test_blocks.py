@@ -22,6 +22,8 @@ from rig.test_character import write as write_character
 from rig.test_gltf_rig import character
 from synthetic_rigs import FAMILIES, renamed, walk
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "examples" / "data"
 ALL_PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "benchmarks" / "README.md"]

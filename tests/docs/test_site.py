@@ -18,6 +18,8 @@ from motionkit.cli.main import cli
 from motionkit.models.bundled import load_bundled_model
 from synthetic_motions import make_walk
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 

@@ -21,6 +21,8 @@ from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.upright import Upright
 from synthetic_motions import make_walk
 
+pytestmark = pytest.mark.thorough
+
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
 NONE = Repairs(glitches=False, trembling=False, floor=False, sliding=False)
 

@@ -27,6 +27,8 @@ from motionkit.motion.motion import Motion, resample
 from motionkit.rig.upright import Upright
 from synthetic_motions import make_cartwheel
 
+pytestmark = pytest.mark.thorough
+
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
 
 

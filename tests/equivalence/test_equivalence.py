@@ -29,6 +29,8 @@ from motionkit.models.weights import NetworkWeights
 from oracle.characters import pose_in_numpy
 from oracle.step import numpy_step
 
+pytestmark = pytest.mark.thorough
+
 FRAMES = 300
 
 

@@ -15,6 +15,8 @@ import pytest
 
 from equivalence.golden import CASES, EVERY, FILE, features
 
+pytestmark = pytest.mark.thorough
+
 STRETCH = 60 // EVERY  # kept frames
 TOLERANCE = 0.02  # cm
 SHARE, HEIGHT = 0.02, 0.2  # of ways and speeds; cm

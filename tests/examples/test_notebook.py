@@ -10,6 +10,8 @@ import pytest
 
 from motionkit.motion.bvh import read_bvh
 
+pytestmark = pytest.mark.thorough
+
 NOTEBOOK = Path(__file__).resolve().parents[2] / "examples" / "motionkit.ipynb"
 
 

@@ -31,7 +31,7 @@ from motionkit.view.character_data import own_joints, page_bytes
 from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_walk
 
-pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+pytestmark = [pytest.mark.thorough, pytest.mark.filterwarnings("error::RuntimeWarning")]
 FLOATS = (float("nan"), float("inf"), 3e38, -1e30, 1e6, 1e-45, 0.0, -1.0)
 
 

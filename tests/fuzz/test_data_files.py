@@ -43,7 +43,7 @@ from synthetic_acclaim import write_acclaim
 from synthetic_motions import make_walk
 
 # numpy's warnings would reach the user's terminal beside the one line.
-pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+pytestmark = [pytest.mark.thorough, pytest.mark.filterwarnings("error::RuntimeWarning")]
 
 # Seeds do not shrink: a smaller one is another case.
 quick = settings(

@@ -29,6 +29,8 @@ from motionkit.models.checkpoint import load_model
 from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.training.trainer import train
 
+pytestmark = pytest.mark.thorough
+
 quick = settings(derandomize=True, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 seeds = st.integers(0, 2**32 - 1)
 FLOATS = (float("nan"), float("inf"), -float("inf"), 3e38, -1e30, 1e12, 1e-45, 0.0, -1.0)

@@ -22,6 +22,8 @@ from motionkit.inference.noise import Noise
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 
+pytestmark = pytest.mark.thorough
+
 HERE = Path(__file__)
 PLAN = "running:0.1,cartwheel:0.2"
 

@@ -6,6 +6,8 @@ import torch
 from motionkit.models.network import NetworkStream
 from motionkit.models.presets import PRESETS, preset
 
+pytestmark = pytest.mark.thorough
+
 FIELDS = ("mean", "log_sigma", "trajectory_mean", "trajectory_log_sigma", "contact_logits")
 STREAMED = [name for name in PRESETS if preset(name).variant.position == "bias"]
 

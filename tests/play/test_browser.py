@@ -21,6 +21,8 @@ from motionkit.models.checkpoint import load_model, save_model
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from view.conftest import PATIENCE, drawn
 
+pytestmark = pytest.mark.thorough
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 

@@ -24,6 +24,8 @@ from rig.test_character import parts
 from rig.test_gltf_rig import character
 from synthetic_characters import CHARACTERS, skinned
 
+pytestmark = pytest.mark.thorough
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 

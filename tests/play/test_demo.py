@@ -43,6 +43,8 @@ from oracle.characters import pose_in_numpy
 from oracle.step import numpy_step
 from view.conftest import PATIENCE, drawn
 
+pytestmark = pytest.mark.thorough
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 

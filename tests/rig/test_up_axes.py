@@ -22,6 +22,8 @@ from motionkit.rig.units import motion_unit
 from motionkit.rig.up_axis import named_up, turned_world, up_axis, up_name, up_turn
 from motionkit.rig.upright import Upright, in_metres
 
+pytestmark = pytest.mark.thorough
+
 WALK = Path(__file__).resolve().parents[2] / "examples" / "data" / "06_06.bvh"
 AXES = {"X": (1, 0, 0), "-X": (-1, 0, 0), "Z": (0, 0, 1), "-Z": (0, 0, -1)}
 

@@ -20,6 +20,8 @@ from motionkit.training import outcome, run_state
 from motionkit.training.report import TrainEvent
 from motionkit.training.trainer import train
 
+pytestmark = pytest.mark.thorough
+
 ODD_NAMES = ("walk/run", "aux", "..")
 
 

@@ -25,6 +25,8 @@ from motionkit.training.processes import resolve_device
 from motionkit.training.report import TrainEvent
 from motionkit.training.trainer import train
 
+pytestmark = pytest.mark.thorough
+
 TERMS = ("gauss", "smooth", "contact", "fk", "consistency", "trajectory", "total", "gradient")
 
 

@@ -23,6 +23,8 @@ from motionkit.training.trainer import train
 from motionkit.training.warm_start import WAY_BACK, check_start, part_way_back, similar_types
 from synthetic_motions import make_walk
 
+pytestmark = pytest.mark.thorough
+
 SMALL = {"batch": 2, "window": 16, "splices": 0, "score_seconds": 0.0, "period": 1, "precision": "float32"}
 
 

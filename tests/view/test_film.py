@@ -20,6 +20,8 @@ from motionkit.view.picture import Scenery
 from motionkit.view.raster import fill_triangles
 from synthetic_motions import make_cartwheel, make_walk
 
+pytestmark = pytest.mark.thorough
+
 
 def blue(picture: Image.Image) -> np.ndarray:
     """Where a picture shows the first motion's shirt."""

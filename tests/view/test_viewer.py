@@ -27,6 +27,8 @@ from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_cartwheel, make_walk
 from view.conftest import PATIENCE, drawn
 
+pytestmark = pytest.mark.thorough
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 

@@ -149,17 +149,15 @@ def join_motions(
         seams.append(_seam(left, entered, i, j, frame))
         turn += float(left.heading[i] - entered.heading[j])
         decay = max(1, round(blend * rate))
-        made = _appended(
-            made.cut(0, frame),
-            continued(made, frame - 1, entered.motion, j, np.array(turn, np.float32), decay),
-        )
+        after = continued(made, frame - 1, entered.motion, j, np.array(turn, np.float32), decay)
+        made = _appended(made.cut(0, frame), after)
         contacts = np.concatenate([contacts[:frame], entered.contacts[j + 1 :]])
         start = j
     held = _held(made, contacts, [seam.frame for seam in seams], round(blend * rate))
     slides = [_sliding(each, [seam.frame for seam in seams], blend) for each in (made, held)]
     told = [
-        replace(seam, sliding=None if before is None or after is None else (before, after))
-        for seam, before, after in zip(seams, *slides, strict=True)
+        replace(seam, sliding=None if before is None or now is None else (before, now))
+        for seam, before, now in zip(seams, *slides, strict=True)
     ]
     return Joined(first.back(held), tuple(told))
 

@@ -32,6 +32,8 @@ from motionkit.motion.bvh import write_bvh
 from motionkit.training.presets import train_options
 from synthetic_motions import make_cartwheel, make_dance, make_idle, make_walk
 
+pytestmark = pytest.mark.thorough
+
 # Fields that make networks small; what a variant changes stays.
 SMALL: dict[str, dict[str, Any]] = {
     "tptn-paper": {

@@ -16,6 +16,8 @@ from motionkit.models.batch import Batch
 from motionkit.models.checkpoint import load_model
 from motionkit.training.progress import Progress
 
+pytestmark = pytest.mark.thorough
+
 __all__ = ["plan"]
 
 

@@ -23,6 +23,8 @@ from motionkit.models.model import MotionModel
 from motionkit.training.verdict.judge import Judge, fitting_detectors
 from motionkit.training.verdict.real import RealMotion
 
+pytestmark = pytest.mark.thorough
+
 NAMES = {
     "idle": "steht",
     "walking": "Gehen",

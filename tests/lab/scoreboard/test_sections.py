@@ -38,6 +38,8 @@ from synthetic_motions import make_idle, make_walk
 
 from .conftest import TINY
 
+pytestmark = pytest.mark.thorough
+
 
 def quiet(share: float) -> None:
     """Ignore progress."""

@@ -19,6 +19,8 @@ from motionkit.training.verdict.types import (
     verdict_table,
 )
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(autouse=True)
 def short_paths(monkeypatch: pytest.MonkeyPatch) -> None:
