@@ -58,8 +58,8 @@ STEPS_OF_ROTATION = 1e-4  # radians
 SMALL = ("contacts", "ground", "types", "phases")
 PACKED, EXACT = "features.xz", "exact.npz"
 MOST_ERROR = 0.05  # of a feature, as a share of its deviation
-# Without the LSTM, which torch cannot stack: its five seeds take four times as long as those of any other network.
 SPARE_MINUTES = 2.0  # to unpack, to make graphs, and to write models
+# Without the LSTM, which torch cannot stack: its five seeds take four times as long as those of any other network.
 PAPER_NETWORKS = [each.name for each in VARIANTS if each.preset == "tptn-paper" and each.name != "TP-LSTM4LR"]
 
 
@@ -76,10 +76,9 @@ def pack(folder: Path, output: Path) -> None:
     for clip in _recorded(dataset):
         motion = dataset.motion(clip, dataset.read(clip))
         span = slice(clip.start, clip.start + clip.frames)
-        shorter = np.where(
-            motion.local_rotations[..., :1] < 0.0, -1.0, 1.0
-        )  # at most half a turn fits in 16 bits
-        turns[span] = np.round(quat_to_expmap(shorter * motion.local_rotations) / STEPS_OF_ROTATION)
+        rotations = motion.local_rotations
+        rotations = np.where(rotations[..., :1] < 0.0, -rotations, rotations)  # 16 bits hold half a turn
+        turns[span] = np.round(quat_to_expmap(rotations) / STEPS_OF_ROTATION)
         heights[span] = np.round(motion.root_positions[:, 1:2] * 100.0)
     columns = np.concatenate([turns.reshape(rows, -1), heights], axis=1)
     steps = np.diff(columns, axis=0, prepend=columns[:1] * 0).astype(np.int16).T.copy()
@@ -347,8 +346,10 @@ def main() -> None:
     packing.add_argument("paper", type=Path)
     packing.add_argument("free", type=Path)
     packing.add_argument("-o", "--output", type=Path, required=True)
-    made = {name: commands.add_parser(name) for name in ("all", "times", "laboratory", "tests", "bundled")}
-    for each in made.values():
+    works = {"all": run_all, "times": times, "laboratory": laboratory, "tests": tests, "bundled": bundled}
+    made = {name: commands.add_parser(name) for name in works}
+    for name, each in made.items():
+        each.set_defaults(run=works[name])
         each.add_argument("job", type=Path)
         each.add_argument("--device", default="cuda")
         each.add_argument("--precision", default="float32")
@@ -371,9 +372,7 @@ def main() -> None:
         pack(arguments.paper, arguments.output / "paper")
         pack(arguments.free, arguments.output / "free")
     else:
-        {"all": run_all, "times": times, "laboratory": laboratory, "tests": tests, "bundled": bundled}[
-            arguments.command
-        ](arguments.job, arguments)
+        arguments.run(arguments.job, arguments)
 
 
 if __name__ == "__main__":
