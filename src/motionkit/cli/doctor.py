@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from motionkit.data.diagnosis import ClipFacts, Diagnosis
 
 SHOWN_CLIPS, SHOWN_SKIPS, SHOWN_NOTES, SHOWN_RIGS = 60, 8, 8, 12  # lines of each kind; --json lists all
-POSE = "a pose, too short to train on"  # as data.diagnosis notes it, which is slow to import
 NO_LIMIT = 1000  # columns, if the output is not a terminal
 
 
@@ -85,6 +84,8 @@ def _print(found: Diagnosis, verbose: bool) -> None:
 
 def _verdict(found: Diagnosis) -> str:
     """Whether the files can be used, in one line."""
+    from motionkit.data.diagnosis import POSE  # slow to import
+
     usable, count = sum(not clip.fault for clip in found.clips), len(found.clips)
     if not count:
         return "no file is listed"

@@ -40,6 +40,7 @@ GROUPED = 6  # fewest clips of a type that are searched for two groups
 # type's centre, and the latter exceeds FAR.
 NEARER = 0.5
 POSE_FRAMES = 3  # a file with as many frames or fewer is a pose
+POSE = "a pose, too short to train on"  # the note on it
 HELD_OUT = ("validation", "test")
 SPEED_SCALE = 10.0  # cm/s over the ground that weigh as much as 1 cm per joint
 
@@ -244,7 +245,7 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], Stan
         ),
     )
     if reading.frames <= POSE_FRAMES:
-        return replace(facts, notes=("a pose, too short to train on", *facts.notes)), [], None
+        return replace(facts, notes=(POSE, *facts.notes)), [], None
     if not stretches:
         fault = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames"
         return replace(facts, fault=fault), [], None
