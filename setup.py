@@ -1,5 +1,5 @@
-"""What pyproject.toml cannot say: the C kernels of the network's step, of a frame around it and of attention in
-training; and the README for package indexes.
+"""What pyproject.toml cannot say: the C kernels of the network's step, of a frame around it, of steering
+and of attention in training; and the README for package indexes.
 
 native_build/backend.py finds the compiler.
 """
@@ -86,5 +86,6 @@ setup(
             ["inference/frame_kernel.h", "inference/kernel_math.h"],
             UNFUSED,
         ),
+        kernel("control._steering_kernel", ["control/steering_kernel.c"], [], UNFUSED),
     ],
 )

@@ -24,8 +24,7 @@ from motionkit.finish import feet, finish, root_height
 from motionkit.finish.finish import Unfinished
 from motionkit.lab.scoreboard.smoothness import AT_LIMIT
 from motionkit.metrics.flight import flights
-from motionkit.metrics.foot_sliding import sliding_over_ground
-from motionkit.metrics.ground import foot_skate_ratio
+from motionkit.metrics.ground import foot_skate_ratio, sliding_over_ground
 from motionkit.metrics.leaps import leaps
 from motionkit.metrics.pace import ground_acceleration
 from motionkit.metrics.touch import hover_share, touching
@@ -63,19 +62,26 @@ def without(name: str) -> Callable[[Unfinished], Motion]:
     """How a motion is finished without one of the corrections."""
 
     def made(one: Unfinished) -> Motion:
-        if name == "root held by feet":
-            return replace(one, told=replace(one.told, hold=0.0)).finished()
+        if name == "root locked to feet":
+            return replace(one, settings=replace(one.settings, hold=0.0)).finished()
+        if name == "soles on the floor":
+            return replace(one, settings=replace(one.settings, soles=None)).finished()
         if name == "limit of acceleration":
-            return replace(one, told=replace(one.told, most=None)).finished()
+            return replace(one, settings=replace(one.settings, most=None)).finished()
         place, function, instead = {
             "out of the ground": (finish, "above_ground", lambda motion: motion),
             "foot locking": (finish, "lock_feet", lambda motion, contacts: motion),
             "hips that come down": (
                 feet,
-                "_hip_drop",
+                "hip_drop",
                 lambda motion, positions, shifts: np.zeros((len(motion), 3)),
             ),
-            "gliding bodies come down": (root_height, "_glide", lambda positions: np.zeros(len(positions))),
+            "floating bodies come down": (
+                root_height,
+                "_floating",
+                lambda positions: np.zeros(len(positions)),
+            ),
+            "toes above the ground": (finish, "clear_toes", lambda motion: motion),
             "free fall": (root_height, "_free_fall", lambda positions, fps, size: np.zeros(len(positions))),
         }[name]
         with patch.object(place, function, instead):
@@ -91,12 +97,14 @@ WAYS: dict[str, Callable[[Unfinished], Motion]] = {
         f"without {name}": without(name)
         for name in (
             "out of the ground",
-            "root held by feet",
+            "root locked to feet",
             "limit of acceleration",
             "foot locking",
             "hips that come down",
-            "gliding bodies come down",
+            "floating bodies come down",
             "free fall",
+            "soles on the floor",
+            "toes above the ground",
         )
     },
 }
@@ -134,7 +142,7 @@ def main() -> None:
     made = list(drawn(asked.first, asked.count, asked.paths))
     print(f"{len(made)} roll-outs\n\n| finished | {' | '.join(COLUMNS)} |\n|---|{'---|' * len(COLUMNS)}")
     for name, way in WAYS.items():
-        rows = np.array([measured(way(one), one.told.most) for one in made])
+        rows = np.array([measured(way(one), one.settings.most) for one in made])
         cells = [
             f"{rows[:, n].mean():.4f}, {WORST.get(column, np.max)(rows[:, n]):.3g}"
             for n, column in enumerate(COLUMNS)

@@ -17,7 +17,7 @@ import torch
 from common import SAMPLE_FOLDER, print_table
 
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import MotionView
 from motionkit.view.film import write_film
 
 CLIPS = ("49_06", "49_07", "49_08", "16_45", "35_01", "16_05")
@@ -56,10 +56,10 @@ def main() -> None:
     print_table(f"films {arguments.width} pixels wide, on one core", header, rows)
 
 
-def shown_clips(count: int) -> list[Shown]:
+def shown_clips(count: int) -> list[MotionView]:
     """Read the first sample clips again."""
     return [
-        Shown(name, bvh_to_motion(read_bvh(SAMPLE_FOLDER / f"{name}.bvh")))
+        MotionView(name, bvh_to_motion(read_bvh(SAMPLE_FOLDER / f"{name}.bvh")))
         for name in (CLIPS[n % len(CLIPS)] for n in range(count))
     ]
 

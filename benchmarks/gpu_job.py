@@ -128,8 +128,8 @@ def _features(folder: Path) -> Floats:
             places = np.stack([ground[span, 0], columns[span, -1] / 100.0, ground[span, 1]], axis=1)
             rotations, places = expmap_to_quat(turns), places.astype(np.float32)
             motion = Motion(dataset.skeleton(clip), rotations, places, facts["fps"])
-            version, facing = dataset.layout.version, ground[span, 2]
-            features[span] = encode_motion(motion, dataset.reference_rotations, version, facing).features
+            version = dataset.layout.version
+            features[span] = encode_motion(motion, dataset.reference_rotations, version).features
     return features
 
 
@@ -146,7 +146,7 @@ def times(job: Path, arguments: argparse.Namespace) -> None:
     options = train_options(
         "tptn",
         steps=10_000,
-        batch=32,
+        batch=arguments.batch,
         splices=50,
         stages=(),
         score_seconds=0.0,
@@ -167,7 +167,9 @@ def times(job: Path, arguments: argparse.Namespace) -> None:
         ("16 steps", lambda: [run.learner.step(each, run.blocks.options, run.progress) for each in block]),
     ):
         work()
-        rows.append([f"bundled recipe, 32 x 96: {name}", f"{_seconds(work, device, 4) / 16 * 1e3:.2f}"])
+        rows.append(
+            [f"bundled recipe, {arguments.batch} x 96: {name}", f"{_seconds(work, device, 4) / 16 * 1e3:.2f}"]
+        )
         print(rows[-1], flush=True)
     run.blocks.close()
     sets = [[name] for name in arguments.alone]
@@ -360,7 +362,8 @@ def main() -> None:
     made["times"].add_argument("--alone", nargs="+", default=["TPTN"], help="networks to time alone")
     made["laboratory"].add_argument("selection")
     made["tests"].add_argument("--jobs", type=int, default=12)
-    made["bundled"].add_argument("--batch", type=int, default=32)
+    for name in ("times", "bundled"):
+        made[name].add_argument("--batch", type=int, default=32)
     made["bundled"].add_argument("--splices", type=int, help="2000, in proportion fewer below 30 minutes")
     made["bundled"].add_argument("--after", type=Path, help="train once this file is there")
     made["all"].add_argument("output", type=Path)

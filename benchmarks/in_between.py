@@ -18,7 +18,7 @@ from motionkit.control.meet import arrival
 from motionkit.control.script import TypePart
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.inference.start import INIT_FRAMES
-from motionkit.metrics.foot_sliding import average_foot_sliding
+from motionkit.metrics.ground import average_foot_sliding
 from motionkit.models.model import MotionModel
 from motionkit.motion.floor import foot_positions
 from motionkit.motion.motion import Motion, resample

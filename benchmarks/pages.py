@@ -17,7 +17,7 @@ from common import SAMPLE_FOLDER, print_table
 from playwright.sync_api import Browser, sync_playwright
 
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import MotionView
 from motionkit.view.viewer import write_viewer
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
@@ -62,7 +62,7 @@ def measured(browser: Browser, folder: Path, count: int, pictures: int) -> tuple
     """Median and 95th percentile of the script time in ms, and pictures a second."""
     motion = bvh_to_motion(read_bvh(SAMPLE_FOLDER / "16_05.bvh"))
     page_file = folder / f"{count}.html"
-    write_viewer(page_file, [Shown(f"{n + 1}", motion) for n in range(count)])
+    write_viewer(page_file, [MotionView(f"{n + 1}", motion) for n in range(count)])
     page = browser.new_page(viewport={"width": 1280, "height": 720})
     page.set_default_timeout(PATIENCE)
     page.goto(page_file.as_uri())

@@ -124,7 +124,7 @@ def main() -> None:
                 rounds.append(run.step())
     plain, fast = ([min(column) for column in zip(*rounds[1:], strict=True)] for rounds in measured)
     rows = [
-        [part, f"{1000 * a:.1f}", f"{1000 * b:.1f}", f"{a / b:.2f}"]
+        [part, f"{1000 * a:.1f}", f"{1000 * b:.1f}", f"{a / b:.2f}" if b else ""]
         for part, a, b in zip((*PARTS, "step"), [*plain, sum(plain)], [*fast, sum(fast)], strict=True)
     ]
     kind = "processor" if arguments.cpu_time else "clock"

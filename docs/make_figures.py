@@ -30,8 +30,8 @@ from figure_style import (
 
 import motionkit as mk
 from motionkit.arrays import Array
+from motionkit.control.character_start import last_poses
 from motionkit.control.follow import PathFollower
-from motionkit.control.opening import last_poses
 from motionkit.control.plan import plan_path
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.features.control import TRAJECTORY_OFFSETS

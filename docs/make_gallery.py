@@ -25,7 +25,7 @@ from motionkit.models.bundled import BUNDLED_MODEL, load_bundled_model
 from motionkit.models.motion_type import MotionKind
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.rig.upright import in_metres
-from motionkit.view.figure_data import Shown, figure_data, rig_data
+from motionkit.view.figure_data import MotionView, figure_data, rig_data
 from motionkit.view.viewer import page_asset
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -102,7 +102,7 @@ def _text(value: Any) -> str:
     return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def _make(loop: Loop) -> Shown:
+def _make(loop: Loop) -> MotionView:
     """The motion that a loop's command writes."""
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "loop.bvh"
@@ -111,7 +111,7 @@ def _make(loop: Loop) -> Shown:
         )
         if done.exit_code != 0:
             raise RuntimeError(f"motionkit {loop.words}: {done.output or done.exception}")
-        return Shown(loop.name, bvh_to_motion(read_bvh(file)))
+        return MotionView(loop.name, bvh_to_motion(read_bvh(file)))
 
 
 def _page(every: list[Loop]) -> str:

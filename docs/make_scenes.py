@@ -29,7 +29,7 @@ def main(folder: str = str(Path(__file__).resolve().parent)) -> None:
     """Make all pictures, of seed 0."""
     model = load_bundled_model()
     for scene in chosen_scenes(FIGURES):
-        drawn = StrobePicture(make_scene(model, scene, 0).shown).draw().resize(SIZE, Image.Resampling.LANCZOS)
+        drawn = StrobePicture(make_scene(model, scene, 0).view).draw().resize(SIZE, Image.Resampling.LANCZOS)
         _save(drawn, Path(folder) / picture_name(scene.figure, scene.name))
     for sheet in sorted(LONG.glob("*/sheet.png")):
         drawn = Image.open(sheet).convert("RGB")

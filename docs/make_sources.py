@@ -12,6 +12,7 @@ from pathlib import Path
 
 from motionkit.errors import MotionkitError
 from motionkit.reading import reading
+from motionkit.rig.names import EXCHANGED
 from motionkit.rig.pose import map_file
 from motionkit.rig.read_file import read_file
 from motionkit.rig.retarget import retarget
@@ -26,7 +27,7 @@ def row(exporter: str, file: str, picture: str) -> tuple[str, ...]:
     """A row of the table."""
     told: list[str] = []
     try:
-        with reading(hear=told.append):
+        with reading(on_note=told.append):
             bvh = read_file(file)
             report = retarget(bvh)[1]
             joints = map_file(bvh)
@@ -40,6 +41,7 @@ def row(exporter: str, file: str, picture: str) -> tuple[str, ...]:
     noted += (
         ["the rest pose is not standing"] if any("not a standing" in note for note in report.notes) else []
     )
+    noted += [note for note in report.notes if note == EXCHANGED]
     return exporter, unit_symbol(report.scale), up, f"{ways}{lacks}", "; ".join(noted), picture
 
 

@@ -15,13 +15,12 @@ PAGE = Path(__file__).resolve().parent / "model-card.md"
 SECTION = re.compile(r"^## Types\n.*?(?=^## )", re.MULTILINE | re.DOTALL)
 HEAD = """## Types
 
-Written from the model file by `python docs/make_types.py`.
+The table is read from the model file by `python docs/make_types.py`.
 
-- **kind**: *stands* and *gait* are steered by speed alone on paths and by keys, without recordings; *performance* is
-  shown from beginning to end; *strikes* have a phase for each strike or jump; all others go on for as long as they are
-  asked for.
+- **kind**: speed alone steers *stands* and *gait*, on paths and by keys, without recordings; a *performance* is shown
+  from beginning to end; *strikes* have a phase for each strike or jump; all others go on for as long as asked.
 - **speed** over the ground in cm/s; **seconds** of one performance, strike or jump.
-- **recordings**: seconds of reference recordings in the file, and **gain** on them
+- **recordings**: seconds of reference recordings in the file; **gain** on them
   ([rollout.md](rollout.md#what-the-network-sees)).
 - **blend**: share of the last velocity that is kept; **noise**: factor on the temperature.
 - **slip**: share of the [root-slip correction](rollout.md#root-slip-correction).

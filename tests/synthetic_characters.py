@@ -10,21 +10,44 @@ from typing import Any
 
 import numpy as np
 
+from motionkit.motion.rotations import quat_to_matrix
 from motionkit.motion.skeleton import JOINT_NAMES
 from rig.test_gltf_rig import VRM, character
 from synthetic_rigs import FAMILIES
 
+# Of the triangle at each joint in the rest pose, in metres: the soles are 2.5 cm below the toes.
+CORNERS = np.array([[0, 0, 0], [0.1, 0, 0], [0, -0.025, 0]], np.float32)
+
+
+def worlds_of(nodes: list[dict[str, Any]]) -> dict[int, np.ndarray]:
+    """The world matrix (4, 4) of each node."""
+    out: dict[int, np.ndarray] = {}
+
+    def visit(node: int, above: np.ndarray) -> None:
+        one, local = nodes[node], np.eye(4)
+        turn = np.roll(one.get("rotation", [0.0, 0.0, 0.0, 1.0]), 1)
+        local[:3, :3] = quat_to_matrix(turn) * one.get("scale", [1.0] * 3)
+        local[:3, 3] = one.get("translation", [0.0] * 3)
+        out[node] = above @ local
+        for child in one.get("children", []):
+            visit(child, out[node])
+
+    below = {child for one in nodes for child in one.get("children", [])}
+    for node in set(range(len(nodes))) - below:
+        visit(node, np.eye(4))
+    return out
+
 
 def skinned(value: dict[str, Any], change: Callable[[dict[str, Any]], object] = id) -> bytes:
-    """A character of test_gltf_rig with a mesh: a small triangle at each joint, weighted to it alone; then changed."""
+    """A character of test_gltf_rig with a mesh: a triangle below each joint, weighted to it alone; then changed."""
     joints = value["skins"][0]["joints"]
-    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], np.float32)
-    points = np.tile(corners, (len(joints), 1)) + np.arange(len(joints)).repeat(3)[:, None] * np.float32(0.01)
+    worlds = np.stack([worlds_of(value["nodes"])[joint] for joint in joints])
+    points = (worlds[:, None, :3, 3] + CORNERS).reshape(-1, 3).astype(np.float32)
     which = np.zeros((len(points), 4), np.uint16)
     which[:, 0] = np.arange(len(joints)).repeat(3)
     weights = np.zeros((len(points), 4), np.float32)
     weights[:, 0] = 1.0
-    inverses = np.tile(np.eye(4, dtype=np.float32).reshape(1, 16), (len(joints), 1))
+    inverses = np.linalg.inv(worlds).swapaxes(1, 2).reshape(-1, 16).astype(np.float32)
     data, views, accessors = b"", [], []
     for array, kind, component in (
         (points, "VEC3", 5126), (which, "VEC4", 5123), (weights, "VEC4", 5126), (inverses, "MAT4", 5126),

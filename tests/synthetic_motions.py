@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, smoothstep
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.leg_ik import TOES, move_feet
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
     expmap_to_quat,
     quat_from_yaw,
     quat_identity,
     quat_multiply,
+    quat_normalize,
     quat_rotate,
+    quat_to_matrix,
 )
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, JOINT_NAMES, canonical_skeleton
 
@@ -88,6 +92,46 @@ def make_walk(
     xz = np.cumsum(steps, axis=0) - steps[:1]
     root = np.stack([xz[:, 0], np.full_like(time, 95.0), xz[:, 1]], axis=-1)
     return _grounded(Motion(canonical_skeleton(), rotations.astype(np.float32), root.astype(np.float32), fps))
+
+
+def make_steps(frames: int = 180, fps: float = 60.0, turn: float = 0.3, phase: float = 0.0) -> Motion:
+    """A walk of 100 cm/s whose low feet stand: each toe rests for half a second, then swings 12 cm high for another."""
+    walk = make_walk(frames, fps, speed=100.0, turn=turn, phase=phase)
+    beat = np.arange(frames) / fps + phase / (2 * math.pi)
+    toes = np.empty((frames, 2, 3), np.float32)
+    for foot, sign in enumerate((1.0, -1.0)):
+        step, share = np.divmod(beat - 0.25 * sign, 1.0)
+        lifted = np.maximum(2 * share - 1, 0.0)
+        swing = smoothstep(np.clip((lifted - 0.15) / 0.7, 0.0, 1.0))  # while the toe is high
+        stands = []
+        for number in (step, step + 1):
+            time = number + 0.25 + 0.25 * sign - phase / (2 * math.pi)  # when the body passes the foot
+            ahead = np.stack([np.sin(turn * time), np.cos(turn * time)], axis=-1)
+            body = 100.0 / turn * np.stack([1 - ahead[:, 1], ahead[:, 0]], axis=-1)
+            stands.append(body + 12.0 * ahead + 9.0 * sign * ahead[:, ::-1] * (1.0, -1.0))
+        toes[:, foot, ::2] = stands[0] + swing[:, None] * (stands[1] - stands[0])
+        toes[:, foot, 1] = TOE_HEIGHT + 12.0 * np.sin(math.pi * lifted)
+    roots = walk.root_positions.copy()
+    roots[:, 1] = 88.0
+    low = replace(walk, root_positions=roots)
+    turns, positions = motion_kinematics(low)
+    rotations, level = low.local_rotations.copy(), quat_identity((frames, 2))
+    move_feet(rotations, positions, quat_to_matrix(turns), level, toes - positions[:, TOES])
+    return replace(low, local_rotations=quat_normalize(rotations))
+
+
+def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> Array:
+    """Contacts (T, 4) with both feet down in the given frames."""
+    contacts = np.zeros((frames, 4), np.float32)
+    for columns, spans in ((slice(0, 2), left), (slice(2, 4), right)):
+        for start, end in spans:
+            contacts[start:end, columns] = 1.0
+    return contacts
+
+
+def sliding(frames: int = 120, speed: float = 10.0, crouch: float = 0.4) -> Motion:
+    """A body whose feet slide with its root at `speed` cm/s, with knees bent by `crouch` radians."""
+    return make_walk(frames, speed=speed, turn=0.0, swing=0.08, cadence=0.3, crouch=crouch)
 
 
 def make_idle(frames: int = 180, fps: float = 60.0, phase: float = 0.0) -> Motion:

@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from motionkit import files
 from motionkit.errors import DatasetError, MotionkitError, OverwriteError
 from motionkit.files import (
     MARKED_BYTES,
@@ -36,7 +37,7 @@ from motionkit.files import (
     write_together,
 )
 from motionkit.interrupts import postpone
-from motionkit.locks import held
+from motionkit.locks import locked, remove_abandoned
 
 ONE_MB = 2**20
 
@@ -184,6 +185,19 @@ def test_what_a_number_is(value: object, whole: bool, is_one: bool) -> None:
     assert is_number(value, 1, 3, whole) == is_one
 
 
+@pytest.mark.parametrize(("objects", "refused"), [(2, False), (3, True)])
+def test_lists_and_objects_are_counted_together(
+    monkeypatch: pytest.MonkeyPatch, objects: int, refused: bool
+) -> None:
+    monkeypatch.setattr(files, "MAX_JSON_NODES", 5)
+    text = "[[[" + ",".join(["{}"] * objects) + "]]]"
+    if refused:
+        with pytest.raises(MotionkitError, match="more than 5 lists and objects"):
+            parse_json(text, "it")
+    else:
+        assert parse_json(text, "it") == [[[{}, {}]]]
+
+
 def test_quotes_without_end_take_no_time() -> None:
     with pytest.raises(MotionkitError):
         parse_json('"' + '\\"' * 1_000_000, "file.json")
@@ -277,9 +291,54 @@ def test_so_many_may_write_one_file(tmp_path: Path) -> None:
     with ExitStack() as stack:
         for number in range(SLOTS):
             stack.enter_context(atomic_write(tmp_path / "a")).write(f"{number}")
-        with pytest.raises(MotionkitError, match=f"a: cannot be written .{SLOTS} other runs"):
+        said = rf"a: cannot be written .{SLOTS} other runs .*{os.sep}\.a\.motionkit-0 and others"
+        with pytest.raises(MotionkitError, match=said):
             stack.enter_context(atomic_write(tmp_path / "a"))
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="an open file cannot be renamed there")
+def test_a_file_is_held_until_it_has_its_name_and_then_let_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    honest, stays = os.replace, []
+
+    def replace(temporary: str, target: Path) -> None:
+        remove_abandoned(temporary)  # as another run does
+        stays.append(Path(temporary).exists())
+        honest(temporary, target)
+
+    monkeypatch.setattr(os, "replace", replace)
+
+    def free() -> list[int]:
+        """The lowest numbers of files that are not open."""
+        lowest = [os.open(os.devnull, os.O_RDONLY) for _ in range(4)]
+        for number in lowest:
+            os.close(number)
+        return lowest
+
+    before = free()
+    with atomic_write(tmp_path / "a"):
+        pass
+    assert stays == [True] and free() == before
+
+
+def test_folders_above_a_file_are_made(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        with atomic_write(tmp_path / "new" / "newer" / name):
+            pass
+    assert len(files_below(tmp_path, ("a", "b"))) == 2
+
+
+@pytest.mark.parametrize("taken", ["lock", "names_file"])
+def test_a_temporary_file_that_another_run_took_for_a_leftover_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taken: str
+) -> None:
+    answers = [False]
+    honest = getattr(files, taken)
+    monkeypatch.setattr(files, taken, lambda *given: answers.pop() if answers else honest(*given))
+    with atomic_write(tmp_path / "a") as file:
+        assert file.writable() and (tmp_path / ".a.motionkit-1").exists()
 
 
 def test_a_temporary_file_that_others_removed_is_told_in_one_line(tmp_path: Path) -> None:
@@ -388,7 +447,7 @@ def test_ctrl_c_at_any_line_leaves_whole_files_alone(tmp_path: Path, names: tupl
 # Holds a temporary file of "out" or a lock on it until it is killed.
 HOLDERS = {
     "file": "from motionkit.files import atomic_write as hold; context = hold('out')",
-    "lock": "from motionkit.locks import held; context = held(__import__('pathlib').Path('out'), 'making it')",
+    "lock": "from motionkit.locks import locked; context = locked(__import__('pathlib').Path('out'), 'making it')",
 }
 
 
@@ -409,7 +468,7 @@ def test_what_a_killed_run_left_is_known_from_what_a_living_one_holds(
     holder: subprocess.Popen, tmp_path: Path
 ) -> None:
     def write() -> list[str]:
-        with held(tmp_path / "out", "making it") as notes, atomic_write(tmp_path / "out") as file:
+        with locked(tmp_path / "out", "making it") as notes, atomic_write(tmp_path / "out") as file:
             file.write("mine")
         return notes
 

@@ -31,7 +31,7 @@ def test_a_package_index_sees_no_link_that_leads_nowhere(address: str) -> None:
         words, cwd=ROOT, env=environment, capture_output=True, text=True, check=True
     ).stdout
     targets = re.findall(r"\]\(([^)\s]+)\)", shown)
-    assert "turns a folder of BVH files into a controllable motion model" in shown
+    assert "motionkit learns how people move from a folder of BVH files" in shown
     if not address:
         assert targets == [] and "docs/commands.md" in shown
         return

@@ -1,4 +1,4 @@
-"""Compiles the C kernels of a frame to WebAssembly for the page of `motionkit demo`, and checks that it is current.
+"""Compiles the C kernels of frames and steering to WebAssembly for the page of `motionkit demo`, and checks them.
 
     pip install ziglang==0.13.0.post1
     python web/build_wasm.py            # writes src/motionkit/assets/web/motionkit.wasm
@@ -19,8 +19,13 @@ from pathlib import Path
 WEB = Path(__file__).resolve().parent
 KERNELS = WEB.parent / "src" / "motionkit"
 MODULE = KERNELS / "assets" / "web" / "motionkit.wasm"
-SOURCES = [KERNELS / "inference" / name for name in ("step_kernel.c", "frame_kernel.c", "foot_kernel.c")]
-FUNCTIONS = ("step", "scratch_size", "draw_frames", "pose_frames", "__heap_base")
+FRAME = [KERNELS / "inference" / name for name in ("step_kernel.c", "frame_kernel.c", "foot_kernel.c")]
+SOURCES = [*FRAME, KERNELS / "control" / "steering_kernel.c"]
+FUNCTIONS = (
+    *("step", "scratch_size", "draw_frames", "pose_frames", "__heap_base"),
+    *("observe", "spring_speed", "steered_type", "steer"),
+    *("path_points", "even_points", "plan_path", "follow"),
+)
 # Products are not fused with sums: native frames are not either (setup.py).
 FLAGS = [
     "-target", "wasm32-wasi", "-mexec-model=reactor", "-O3", "-msimd128", "-fno-stack-protector",

@@ -11,9 +11,12 @@ import math
 import os
 import shlex
 import socket
+import struct
 import subprocess
 import tempfile
 import time
+from array import array
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +37,7 @@ CONNECT_SECONDS = 1.0
 PATIENCE = 15.0  # seconds without a frame, after which live mode ends
 RECEIVE_BYTES = 1 << 18  # room for some frames: the server leaves out what we are too slow for
 MOST_BYTES = 1 << 24  # of one line
-LEG = 83.41  # cm, thigh plus shin of motionkit's canonical skeleton
+LEG = 0.8341  # m, thigh plus shin of motionkit's canonical skeleton
 STILL = 1e-4  # radians
 LINEAR = 1  # the number of this interpolation in keyframes
 TO_Z_UP = Matrix.Rotation(math.pi / 2, 4, "X")  # motionkit has Y up
@@ -47,23 +50,27 @@ def command_words(command):
     return [word.strip('"') for word in shlex.split(command, posix=False)]
 
 
-def run(settings, *words):
-    """Run a motionkit command; returns what it prints; raises RuntimeError with its message if it fails."""
-    command = [*command_words(settings.command), *map(str, words)]
+def run(settings, folder, *words):
+    """Run a motionkit command on files of a folder; returns what it prints; raises RuntimeError with its message."""
     try:
+        command = [*command_words(settings.command), *map(str, words)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=600)
-    except (OSError, subprocess.TimeoutExpired) as error:
+    except (OSError, ValueError, subprocess.TimeoutExpired) as error:
         raise RuntimeError(f"motionkit cannot be run: {error}") from None
     if done.returncode:
         said = (done.stderr.strip().splitlines() or ["motionkit failed"])[-1]
-        raise RuntimeError(said.removeprefix("error: ").removeprefix("Error: "))
+        raise RuntimeError(
+            said.removeprefix("error: ").removeprefix("Error: ").replace(f"{folder}{os.sep}", "")
+        )
     return done.stdout
 
 
 def selected_armature(context):
-    """The active armature, or None."""
+    """The active armature, or the one that moves the active mesh; None without one."""
     active = context.view_layer.objects.active
-    return active if active is not None and active.type == "ARMATURE" and active.select_get() else None
+    if active is None or not active.select_get():
+        return None
+    return active if active.type == "ARMATURE" else active.find_armature()
 
 
 def make(context, request, begin=True):
@@ -80,14 +87,16 @@ def make(context, request, begin=True):
     with tempfile.TemporaryDirectory() as folder, at_first_frame(scene):
         if target is None:
             file = Path(folder, "motion.glb")
-            run(settings, *request(Ground(), folder), *words, "-o", file)
+            run(settings, folder, *request(Ground(), folder), *words, "-o", file)
             bpy.ops.import_scene.gltf(filepath=str(file), bone_heuristic="TEMPERANCE")
-            return context.view_layer.objects.active
+            target = context.view_layer.objects.active
+            from_first_frame(scene, target.animation_data.action)
+            return target
         rig = ask_rig(settings, target, folder)
         ground = Ground(target, rig, begin)
-        bare, file = Path(folder, "rig.bvh"), Path(folder, "motion.bvh")
-        bare.write_text(rest_bvh(rig.bones, ground.from_armature), "utf-8")
-        run(settings, *request(ground, folder), *words, "--rig", bare, "-o", file)
+        bare, file, to = Path(folder, "rig.glb"), Path(folder, "motion.bvh"), ground.from_armature
+        bare.write_bytes(rest_glb(rig.bones, to, bound_vertices(context, target, rig.bones, to)))
+        run(settings, folder, *request(ground, folder), *words, "--rig", bare, "-o", file)
         poses = pose_matrices(rig, ground, joint_matrices(rig.bones, file.read_text("utf-8")), begin)
         put_on(scene, target, rig, poses, file.stem)
     return target
@@ -118,9 +127,12 @@ def ask_rig(settings, target, folder):
     if not trees:
         raise RuntimeError(f"{target.name} has no bones")
     bones = max(trees, key=len)
-    bare = Path(folder, f"{bpy.path.clean_name(target.name)}.bvh")
-    bare.write_text(rest_bvh(bones, Matrix.Identity(4)), "utf-8")
-    told = json.loads(run(settings, "retarget", "--rig", bare, "--json"))
+    bare = Path(folder, f"{bpy.path.clean_name(target.name)}.glb")
+    bare.write_bytes(rest_glb(bones, Matrix.Identity(4)))
+    try:
+        told = json.loads(run(settings, folder, "retarget", "--rig", bare, "--json"))
+    except ValueError:
+        raise RuntimeError(f"{settings.command} is not motionkit") from None
     joints = {name: bone for bone, name in zip(bones, told["joints"].values(), strict=True) if name}
     return Rig(bones, joints, told["leg"])
 
@@ -131,7 +143,7 @@ def with_children(bone):
 
 
 class Ground:
-    """Motionkit's space: cm of a body with its legs, Y up from the ground, from where a motion begins ahead along +Z.
+    """Motionkit's space: m of a body with its legs, Y up from the ground, from where a motion begins ahead along +Z.
 
     The ground is the plane through the armature's origin, ahead is where the armature faces in its rest pose, and all
     moves, turns and scales with the armature's object. Without an armature it is that of the world.
@@ -140,7 +152,7 @@ class Ground:
     def __init__(self, target=None, rig=None, begin=False):
         """Of an armature, from its hips at the present frame if `begin`, else from its origin."""
         if target is None:
-            self.from_world = self.from_armature = Matrix.Scale(100.0, 4) @ TO_Z_UP.inverted()
+            self.from_world = self.from_armature = TO_Z_UP.inverted()
             return
         heads = {name: bone.head_local for name, bone in rig.joints.items()}
         hips, arms = (heads[f"Left{part}"] + heads[f"Right{part}"] for part in ("UpLeg", "Arm"))
@@ -160,62 +172,97 @@ class Ground:
     def place(self, point):
         """A point of the world as motionkit's x, z in metres."""
         x, _, z = self.from_world @ point
-        return [x / 100.0, z / 100.0]
+        return [x, z]
 
     def speed(self, speed):
         """A speed in the world as motionkit's in m/s."""
-        return speed * abs(self.from_world.determinant()) ** (1.0 / 3.0) / 100.0
+        return speed * abs(self.from_world.determinant()) ** (1.0 / 3.0)
 
 
-def rest_bvh(bones, to):
-    """The text of a BVH file of bones in the rest pose, turned to the axes of the world, in the space of a matrix."""
-    heads = {bone.name: to @ bone.head_local for bone in bones}
-    frame = []
+def rest_glb(bones, to, skin=None):
+    """A binary glTF file of bones in the rest pose, turned to the axes of the world, in the space of a matrix.
 
-    def lines(bone):
-        head = heads[bone.name]
-        offset = head - heads[bone.parent.name] if bone.parent else Vector()
-        move = "" if bone.use_connect and bone.parent else "Xposition Yposition Zposition "
-        frame.extend((*(offset if bone.parent else head), 0, 0, 0) if move else (0, 0, 0))
-        yield f"{'JOINT' if bone.parent else 'ROOT'} {bone.name}\n{{\nOFFSET {numbers(offset)}"
-        yield f"CHANNELS {6 if move else 3} {move}Zrotation Yrotation Xrotation"
-        for child in bone.children:
-            yield from lines(child)
-        if not bone.children:
-            yield f"End Site\n{{\nOFFSET {numbers(to @ bone.tail_local - head)}\n}}"
-        yield "}"
+    `skin` has what bound_vertices returns, in that space, from which motionkit knows the soles.
+    """
+    heads, at = [to @ bone.head_local for bone in bones], {bone: each for each, bone in enumerate(bones)}
+    document, data = {"asset": {"version": "2.0"}, "nodes": []}, b""
+    for bone, head in zip(bones, heads, strict=True):
+        node = {"name": bone.name, "translation": [*(head - heads[at[bone.parent]] if bone.parent else head)]}
+        if bone.children:
+            node["children"] = [at[child] for child in bone.children]
+        else:
+            node["extras"] = {"end_site": [*(to @ bone.tail_local - head)]}
+        document["nodes"].append(node)
+    if skin is not None and skin[0]:
+        binds = [value for x, y, z in heads for value in (1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, -x, -y, -z, 1)]
+        names, kinds = ("POSITION", "JOINTS_0", "WEIGHTS_0"), {3: "VEC3", 4: "VEC4", 16: "MAT4"}
+        lists = document["accessors"], document["bufferViews"] = [], []
+        for values, width in zip((*skin, array("f", binds)), (3, 4, 4, 16), strict=True):
+            what = {"componentType": 5126 if values.typecode == "f" else 5123, "type": kinds[width]}
+            lists[0].append({"bufferView": len(lists[0]), "count": len(values) // width, **what})
+            lists[1].append({"buffer": 0, "byteOffset": len(data), "byteLength": len(values.tobytes())})
+            data += values.tobytes()
+        points = {"mode": 0, "attributes": dict(zip(names, range(3), strict=True))}
+        document["meshes"], document["buffers"] = [{"primitives": [points]}], [{"byteLength": len(data)}]
+        document["skins"] = [{"joints": [*range(len(bones))], "inverseBindMatrices": 3}]
+        document["nodes"].append({"mesh": 0, "skin": 0})
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x4E4942) + data
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
-    hierarchy = "\n".join(lines(bones[0]))
-    return f"HIERARCHY\n{hierarchy}\nMOTION\nFrames: 1\nFrame Time: 0.04\n{numbers(frame)}\n"
 
-
-def numbers(values):
-    """Numbers as BVH has them."""
-    return " ".join(f"{value:.9g}" for value in values)
+def bound_vertices(context, target, bones, to):
+    """The places of the vertices that bones move in the rest pose, by a matrix, and four joints and weights of each."""
+    at = {bone.name: each for each, bone in enumerate(bones)}
+    places, joints, weights = array("f"), array("H"), array("f")
+    shown, target.data.pose_position = target.data.pose_position, "REST"
+    try:
+        graph = context.evaluated_depsgraph_get()
+        for item in context.scene.objects:
+            if item.type != "MESH" or item.find_armature() != target:
+                continue
+            evaluated = item.evaluated_get(graph)
+            place = to @ target.matrix_world.inverted() @ evaluated.matrix_world
+            groups = [at.get(group.name) for group in item.vertex_groups]
+            for vertex in evaluated.to_mesh().vertices:
+                bound = [(each.weight, groups[each.group]) for each in vertex.groups]
+                most = sorted(
+                    (pair for pair in bound if pair[1] is not None and pair[0] > 0.0), reverse=True
+                )[:4]
+                if most:
+                    most += [(0.0, 0)] * (4 - len(most))
+                    places.extend(place @ vertex.co)
+                    joints.extend(joint for _, joint in most)
+                    weights.extend(weight for weight, _ in most)
+            evaluated.to_mesh_clear()
+    finally:
+        target.data.pose_position = shown
+    return places, joints, weights
 
 
 def joint_matrices(bones, text):
-    """The matrices of the joints by name, for each frame of a BVH file of the hierarchy of rest_bvh."""
-    rows = text.rpartition("\nMOTION\n")[2].splitlines()[2:]
-    offsets = [Vector(map(float, line.split()[1:])) for line in own_offsets(text)]
-    for row in filter(None, rows):
+    """The matrices of the joints by name, for each frame of a BVH file of the hierarchy of rest_glb."""
+    head, _, rows = text.rpartition("\nMOTION\n")
+    lines = [line.split() for line in head.splitlines()]
+    joints = [  # an OFFSET without CHANNELS is that of an End Site
+        (Vector(map(float, line[1:])), after[1] == "6")
+        for line, after in pairwise(lines)
+        if line[0] == "OFFSET" and after[0] == "CHANNELS"
+    ]
+    for row in filter(None, rows.splitlines()[2:]):
         values = iter(map(float, row.split()))
         made = {}
-        for bone, offset in zip(bones, offsets, strict=True):
-            free = not (bone.use_connect and bone.parent)
+        for bone, (offset, free) in zip(bones, joints, strict=True):
             place = Vector([next(values) for _ in range(3)]) if free else offset
             z, y, x = (math.radians(next(values)) for _ in range(3))
             own = Matrix.Translation(place) @ Euler((x, y, z)).to_matrix().to_4x4()
             made[bone.name] = made[bone.parent.name] @ own if bone.parent else own
+            if bone.parent and bone.use_connect and free:  # Blender moves it by the bones above only
+                above = made[bone.parent.name]
+                gap = Matrix.Translation(above.to_3x3() @ (place - offset))
+                made.update({name: gap @ made[name] for name in made if name != bone.name})
         yield made
-
-
-def own_offsets(text):
-    """The OFFSET lines of the joints of a BVH file, without those of End Sites."""
-    lines = [line.strip() for line in text.partition("\nMOTION\n")[0].splitlines()]
-    return [
-        line for at, line in enumerate(lines) if line.startswith("OFFSET ") and lines[at - 2] != "End Site"
-    ]
 
 
 def pose_matrices(rig, ground, frames, begin):
@@ -257,6 +304,22 @@ def put_on(scene, target, rig, poses, name):
             points.foreach_set("co", pairs)
             points.foreach_set("interpolation", [LINEAR] * len(column))
     scene.frame_end = max(scene.frame_end, scene.frame_start + len(poses) - 1)
+
+
+def from_first_frame(scene, action):
+    """Move an imported action, which begins at frame 0, to the first frame of the scene."""
+    for curve in curves_of(action):
+        for point in curve.keyframe_points:
+            point.co_ui.x += scene.frame_start
+    scene.frame_end = max(scene.frame_end, math.ceil(action.frame_range[1]))
+
+
+def curves_of(action):
+    """The curves of an action; Blender 5 has them in slots only."""
+    if hasattr(action, "fcurves"):
+        return action.fcurves
+    bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    return [curve for bag in bags for curve in bag.fcurves]
 
 
 def new_curve(action, target, path, index, group):

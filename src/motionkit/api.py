@@ -96,16 +96,19 @@ def retarget(
         MotionkitError: a file cannot be read, or a rig is not human.
     """
     from motionkit.control.synthesize import SynthesisResult
+    from motionkit.errors import naming
     from motionkit.export.clip import rig_clip
     from motionkit.finish.on_rig import on_rig
     from motionkit.motion.motion import Motion
-    from motionkit.rig.on_rig import read_clip, read_on_any_rig
+    from motionkit.rig.on_rig import canonical_for, read_clip
+    from motionkit.rig.read_file import read_file
 
     target = read_rig(rig) if isinstance(rig, (str, Path)) else rig
     drawn: Unfinished | None = None
     types: tuple[tuple[str, float], ...] = ()
     if isinstance(motion, (str, Path)):
-        motion = read_on_any_rig(motion, target)[0]
+        with naming(motion):
+            motion = canonical_for(read_file(motion), target)[0]
     elif not isinstance(motion, Motion):
         parts = motion.motions[0].types if isinstance(motion, SynthesisResult) else ()
         types = tuple((part.type, part.seconds) for part in parts)

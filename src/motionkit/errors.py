@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from motionkit.names import visible
@@ -26,7 +28,7 @@ class BvhError(MotionkitError):
     """An invalid BVH file; the message names the file and, if known, the line."""
 
     def __init__(self, path: str | Path, message: str, line: int | None = None) -> None:
-        self.path = str(path)
+        self.path, self.found = str(path), message
         self.line = line
         where = f"{path}:{line}" if line is not None else f"{path}"
         super().__init__(f"{where}: {message}")
@@ -50,3 +52,12 @@ class ModelError(MotionkitError):
 
 class ControlError(MotionkitError):
     """An unknown motion type or character, or an invalid path or control."""
+
+
+@contextmanager
+def naming(file: object, kind: type[MotionkitError] = SkeletonError) -> Iterator[None]:
+    """Put the name of a file before errors of a kind, by default about its rig, from what knows only its contents."""
+    try:
+        yield
+    except kind as error:
+        raise kind(f"{file}: {error}") from None

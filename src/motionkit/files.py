@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import re
 import stat
@@ -26,6 +27,7 @@ MAX_JSON_NODES = 2_000_000  # lists and objects; each takes about a hundred byte
 MAX_JSON_DIGITS = 40  # digits of an integer; saved states of random generators have 39
 MARKED_BYTES = 4096  # of a file, which say whether motionkit wrote it
 SLOTS = 8  # runs that may write one output at a time
+_SLOTS = tuple(f".motionkit-{number}" for number in range(SLOTS))  # endings of their temporary files
 
 
 @contextmanager
@@ -97,7 +99,7 @@ class _Pending:
 
     def drop(self) -> None:
         """Close the file, and remove it unless it is in place."""
-        with suppress(OSError):  # a full disk, which has been told
+        with suppress(OSError):  # a full disk, which has been reported
             self.file.close()
         if self.temporary:
             Path(self.temporary).unlink(missing_ok=True)
@@ -129,8 +131,9 @@ def _pending(path: str | Path, mode: str) -> Iterator[_Pending]:
 
 def _open_temporary(target: Path) -> tuple[int, str]:
     """Make and lock a new file beside target; those that killed runs have left are removed."""
-    remove_leftovers([target])
     slots = _slots(target)
+    for slot in slots:
+        remove_abandoned(slot)
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     for slot in slots:
         try:
@@ -143,17 +146,16 @@ def _open_temporary(target: Path) -> tuple[int, str]:
     raise OSError(f"{SLOTS} other runs are writing it, or were killed: {slots[0]} and others")
 
 
-def remove_leftovers(targets: Iterable[Path]) -> None:
-    """Remove the temporary files of these outputs whose writers were killed."""
-    for target in targets:
-        for slot in _slots(Path(os.path.realpath(target))):
-            remove_abandoned(slot)
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files below a folder whose writers were killed."""
+    for path in files_below(folder, _SLOTS):
+        remove_abandoned(str(path))
 
 
 def _slots(target: Path) -> list[str]:
     """The names of an output's temporary files."""
     name = safe_name(target.name, 200)
-    return [f"{target.parent}{os.sep}.{name}.motionkit-{number}" for number in range(SLOTS)]
+    return [f"{target.parent}{os.sep}.{name}{slot}" for slot in _SLOTS]
 
 
 def _mode(path: Path) -> int:
@@ -200,29 +202,24 @@ def check_outputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path | N
         written.add(identity)
 
 
-def check_foreign(paths: Iterable[Path], ours: bytes = b"motionkit") -> None:
-    """Check that motionkit wrote the files that would be replaced or removed.
-
-    Args:
-        paths: files, which may be missing.
-        ours: what the first bytes of our files hold.
+def check_foreign(paths: Iterable[Path]) -> None:
+    """Check that motionkit wrote the files, which may be missing, that would be replaced or removed.
 
     Raises:
-        OverwriteError: a file does not hold it.
+        OverwriteError: the first bytes of a file do not name motionkit.
     """
     for path in paths:
-        if path.exists() and not _starts_with(path, ours):
+        if path.exists() and not _names_us(path):
             raise OverwriteError(
                 f"{path}: was not written by motionkit; choose another folder, or replace it with --force"
             )
 
 
-def _starts_with(path: Path, mark: bytes) -> bool:
-    """Whether the first bytes of a file hold a mark."""
+def _names_us(path: Path) -> bool:
     if not path.is_file():
         return False
     with open_regular(path, sys.maxsize) as file:
-        return mark in file.read(MARKED_BYTES)
+        return b"motionkit" in file.read(MARKED_BYTES)
 
 
 def _identity(path: Path) -> object:
@@ -362,13 +359,10 @@ _JSON_BRACKETS = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"?|[\[{\]}]', re.DOTALL)
 
 
 def read_json(
-    path: str | Path,
-    what: str = "a JSON file",
-    error: type[MotionkitError] = MotionkitError,
-    limit: int = MAX_TEXT_BYTES,
+    path: str | Path, what: str = "a JSON file", error: type[MotionkitError] = MotionkitError
 ) -> Any:
     """The value in a JSON file; raises like read_text and parse_json, with the file's name in the message."""
-    return parse_json(read_text(path, what, error, limit), path, error)
+    return parse_json(read_text(path, what, error), path, error)
 
 
 def is_number(value: object, low: float, high: float, whole: bool = False) -> bool:
@@ -381,10 +375,7 @@ def is_number(value: object, low: float, high: float, whole: bool = False) -> bo
 def parse_json(text: str, where: str | Path, error: type[MotionkitError] = MotionkitError) -> Any:
     """The value of a JSON text; depth is limited and numbers must be finite.
 
-    Args:
-        text: the JSON.
-        where: source of the text, for the message.
-        error: exception class to raise for invalid text.
+    Raises `error`, which says where it is from.
     """
     _check_json_depth(text, where, error)
     try:
@@ -443,6 +434,17 @@ def safe_name(name: str, longest: int = 80) -> str:
         return name
     mark = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:6]
     return f"{safe.encode()[: longest - 7].decode('utf-8', 'ignore')}-{mark}"
+
+
+def plain(value: Any) -> Any:
+    """A value for JSON: NaN and infinity become None, tuples become lists, paths become text."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
 
 
 def write_json(path: Path, facts: dict[str, Any]) -> None:

@@ -11,25 +11,23 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from motionkit.data.dataset import Dataset
-from motionkit.data.folder import MANIFEST, remove_dataset
 from motionkit.errors import DatasetError, MotionkitError, OverwriteError
 from motionkit.files import atomic_write, check_foreign, files_below
-from motionkit.locks import held
-from motionkit.names import about, counted, duration
-from motionkit.rig.read_file import ENDINGS
+from motionkit.locks import locked
+from motionkit.names import about, counted, duration, first_lines
 
 if TYPE_CHECKING:
+    from motionkit.data.dataset import Dataset
     from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
     from motionkit.training.options import TrainOptions
     from motionkit.training.trainer import TrainEvent
     from motionkit.training.verdict.types import TypeVerdict
 
-SHOWN_SECONDS = 5.0  # seconds shown of each type, on page and sheet
+EXAMPLE_SECONDS = 5.0  # seconds shown of each type, on page and sheet
 ROLL_OUT_SECONDS = 6.0  # seconds of the roll-outs that choose the reference gains
 TRAVELS = 100.0  # cm from start to end; a motion that travels less is not turned
-SHOWN_SKIPS = 8  # unusable files that are listed by name
+LISTED_SKIPS = 8  # unusable files that are listed by name
 NEVER = 1e6  # minutes between scores; longer than any run, so that scoring is off
 DATASET, MODEL, RUN = "dataset", "model.safetensors", "model.run"
 PAGE, SHEET, VERDICT = "motions.html", "motions.png", "verdict.md"
@@ -65,12 +63,9 @@ def _unwatched(options: TrainOptions, samples: Path) -> AbstractContextManager[A
 
 @dataclass(frozen=True)
 class Watcher:
-    """Callbacks of a quickstart; by default they do nothing.
+    """Callbacks of a quickstart, which do nothing by default: messages, one line each; stage, amount done and total.
 
-    Attributes:
-        tell: called with each message, one line.
-        progress: called with the stage, the amount done and the total.
-        training: called with the training options; returns a context whose value is called with each event.
+    training is called with the training options; it returns a context whose value is called with each event.
     """
 
     tell: Callable[[str], None] = lambda line: None
@@ -95,12 +90,12 @@ class QuickstartStopped(KeyboardInterrupt):
 
     Attributes:
         resumes: whether resume=True continues from here; False if nothing was begun.
-        told: whether training has reported the stop already.
+        reported: whether training has reported the stop already.
     """
 
-    def __init__(self, resumes: bool, told: bool) -> None:
+    def __init__(self, resumes: bool, reported: bool) -> None:
         super().__init__()
-        self.resumes, self.told = resumes, told
+        self.resumes, self.reported = resumes, reported
 
 
 class _TrainingStopped(KeyboardInterrupt):
@@ -132,7 +127,7 @@ def quickstart(
     data, options, watcher = Path(data), options or QuickstartOptions(), watcher or Watcher()
     target = output_folder(data) if output is None else Path(output)
     _check(data, target, options)
-    with held(target, "making this model") as notes:
+    with locked(target, "making this model") as notes:
         for line in notes:
             watcher.tell(line)
         return _quickstart(data, target, options, watcher)
@@ -159,9 +154,9 @@ def _quickstart(data: Path, target: Path, options: QuickstartOptions, watcher: W
         verdicts = _judge(model, dataset, target, watcher)
     except KeyboardInterrupt as stop:
         raise QuickstartStopped(resumes, isinstance(stop, _TrainingStopped)) from None
-    from motionkit.training.verdict.types import training_told
+    from motionkit.training.verdict.types import training_summary
 
-    return QuickstartResult(target / MODEL, tuple(pictures), tuple(verdicts), training_told(model))
+    return QuickstartResult(target / MODEL, tuple(pictures), tuple(verdicts), training_summary(model))
 
 
 # ---- results of an earlier quickstart ----
@@ -205,6 +200,8 @@ def _checkpoint(target: Path) -> Path:
 
 def _made_dataset(target: Path) -> Dataset | None:
     """The dataset, or None if it is incomplete."""
+    from motionkit.data.dataset import Dataset
+
     try:
         return Dataset(target / DATASET)
     except DatasetError:
@@ -213,6 +210,9 @@ def _made_dataset(target: Path) -> Dataset | None:
 
 def _tell_changed(data: Path, target: Path, watcher: Watcher) -> None:
     """Report files that are newer than the dataset; the dataset stays as it is."""
+    from motionkit.data.folder import MANIFEST
+    from motionkit.rig.read_file import ENDINGS
+
     made = (target / DATASET / MANIFEST).stat().st_mtime
     newer = [path for path in files_below(data, ENDINGS) if path.stat().st_mtime > made]
     if newer:
@@ -238,6 +238,8 @@ def _whole_model(path: Path, options: TrainOptions) -> MotionModel | None:
 
 def _clear(target: Path) -> None:
     """Remove the results of an earlier quickstart, so that they are not taken for new ones."""
+    from motionkit.data.folder import remove_dataset
+
     _remove_results(target)
     for path in (target / MODEL, _checkpoint(target), target / RUN / "log.jsonl"):
         path.unlink(missing_ok=True)
@@ -265,15 +267,16 @@ def _look(data: Path, watcher: Watcher) -> None:
     if len(lost) == len(found.types):
         more = f" (and {counted(len(lost) - 1, 'more type')})" if len(lost) > 1 else ""
         raise MotionkitError(f"{data}: no type can be learnt; {lost[0].name}: {lost[0].unlearnable}{more}")
-    for line in left_out[:SHOWN_SKIPS]:
-        watcher.tell(f"left out: {line}")
-    if len(left_out) > SHOWN_SKIPS:
-        watcher.tell(f"left out: {len(left_out) - SHOWN_SKIPS} more; motionkit doctor lists them")
-    for line in found.lines:
+    lines = [f"left out: {line}" for line in left_out]
+    for line in [
+        *first_lines(lines, LISTED_SKIPS, "files are left out", "motionkit doctor lists all"),
+        *found.lines,
+    ]:
         watcher.tell(line)
 
 
 def _preprocess(data: Path, folder: Path, mirror: bool, watcher: Watcher) -> Dataset:
+    from motionkit.data.dataset import Dataset
     from motionkit.data.options import PreprocessOptions
     from motionkit.data.preprocess import preprocess
     from motionkit.models.bundled import reference_rotations
@@ -343,7 +346,7 @@ def _show(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher) 
     motions = []
     for done, name in enumerate(names):
         watcher.progress("showing", done, len(names))
-        seconds = max(SHOWN_SECONDS, model.phase_seconds(name))
+        seconds = max(EXAMPLE_SECONDS, model.phase_seconds(name))
         motions.append(_straight_ahead(synthesis_request(f"{name}:{seconds:g}", model=model).run().motion))
     files = [folder / PAGE, *([folder / SHEET] if find_spec("PIL") else [])]
     for done, path in enumerate(files):
@@ -364,7 +367,7 @@ def _judge(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher)
     from motionkit.training.verdict.types import (
         QUICK_TYPES,
         quick_verdicts,
-        training_told,
+        training_summary,
         verdict_page,
     )
 
@@ -373,5 +376,5 @@ def _judge(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher)
     judge = Judge(RealMotion(dataset))
     verdicts = quick_verdicts(model, judge, QUICK_TYPES, lambda share: watch("judging", 100 * share, 100))
     with atomic_write(folder / VERDICT) as out:
-        out.write(verdict_page(verdicts, QUICK_TYPES, training_told(model)))
+        out.write(verdict_page(verdicts, QUICK_TYPES, training_summary(model)))
     return verdicts

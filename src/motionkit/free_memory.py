@@ -8,9 +8,9 @@ from pathlib import Path
 
 from motionkit.errors import MotionkitError
 
-# Most that a command takes for a frame of a joint of each clip, in bytes: retargeting.
+# Most that a command takes for a frame of a joint of all its clips, in bytes: retargeting, and joining them.
 BYTES_OF_JOINT = 400
-BYTES_BESIDE = 250  # the same for work with several clips at once, beside the clips themselves
+BYTES_BESIDE = 250  # the same for measuring two clips, beside the clips themselves
 BYTES_OF_TEXT = 4  # most that reading takes for a byte of a text file: its bytes, its letters and its lines
 # Of control groups, as containers have them, version 2 and 1: limit and use.
 _GROUPS = (
@@ -21,7 +21,7 @@ _GROUPS = (
 
 def free_memory() -> int:
     """Bytes that a process may take: what the system, its control group and its own limit leave."""
-    return min(_system(), *(_number(limit) - _number(used, 0) for limit, used in _GROUPS), _own())
+    return min(_system(), *(_number(limit) - _number(used, 0) for limit, used in _GROUPS), _cgroup())
 
 
 def check_memory(frames: int, joints: int, fps: float, each: int = BYTES_OF_JOINT) -> None:
@@ -72,7 +72,7 @@ def _number(path: str, unknown: int = sys.maxsize) -> int:
         return unknown
 
 
-def _own() -> int:
+def _cgroup() -> int:
     """What the limit of the process's address space leaves."""
     try:
         import resource

@@ -19,7 +19,7 @@ _FAR = 2**20  # byte that is locked on Windows, where the locked bytes of a file
 
 
 @contextmanager
-def held(target: Path, work: str, error: type[MotionkitError] = MotionkitError) -> Iterator[list[str]]:
+def locked(target: Path, work: str, error: type[MotionkitError] = MotionkitError) -> Iterator[list[str]]:
     """Hold the lock of an output, `.NAME.lock` beside it, for a block; yields notes on a lock that was left.
 
     Args:
@@ -38,8 +38,8 @@ def held(target: Path, work: str, error: type[MotionkitError] = MotionkitError) 
             while not ours:
                 with uninterrupted():
                     handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-                    locked, holder = lock(handle), _holder(handle)
-                    ours = not _lives(holder) if locked is None else locked
+                    acquired, holder = lock(handle), _holder(handle)
+                    ours = not _lives(holder) if acquired is None else acquired
                 if not ours:
                     named = f" ({holder})" if holder else ""
                     raise error(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 # Characters that control a terminal: control characters, changes of text direction, line and paragraph separators. Also
 # lone surrogates, which stand for undecodable bytes.
@@ -24,12 +24,7 @@ def _escaped(found: re.Match[str]) -> str:
 
 
 def joint_names(names: Iterable[str], longest: int) -> tuple[str, ...]:
-    """Unique names of joints that every format can hold: without spaces, braces and control characters.
-
-    Args:
-        names: as a file has them.
-        longest: most characters of a name.
-    """
+    """Unique names of joints for every format: at most `longest` letters, no spaces, braces or control characters."""
     out: dict[str, int] = {}  # each name and the next number for another joint of that name
     for name in names:
         name = re.sub(rf"[\s{{}}]+|{_UNSEEN.pattern}", "_", nfc(name).strip())[: longest - 8] or "_"
@@ -52,6 +47,12 @@ def nfc(name: str) -> str:
 def counted(number: int, word: str) -> str:
     """A number with its noun: "1 run", "2 runs"."""
     return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def first_lines(lines: Sequence[str], most: int, what: str, whole: str = "--json lists all") -> list[str]:
+    """The first lines of a list, how many more there are, such as "files", and what lists the whole."""
+    rest = len(lines) - most
+    return [*lines[:most], *([f"... and {rest} more {what}; {whole}"] if rest > 0 else [])]
 
 
 def duration(seconds: float) -> str:

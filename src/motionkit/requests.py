@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from motionkit.control import follow, synthesize
 from motionkit.control.keys import Key, check_keys, check_length, read_keys
+from motionkit.control.lead_ins import natural_seconds
 from motionkit.control.path import Path2D, check_shape_options, read_path, shape_path
 from motionkit.control.plan import plan_path, plan_types
 from motionkit.control.script import TypePart, parse_types
 from motionkit.control.speeds import check_speeds
-from motionkit.control.staging import natural_seconds
 from motionkit.control.steering import walking_type
 from motionkit.control.synthesize import SynthesisOptions, SynthesisResult
 from motionkit.errors import ControlError
@@ -130,8 +130,8 @@ def synthesis_request(
             model.type_id(part.type)
     met = read_keys(keys, model) if isinstance(keys, (str, Path)) else check_keys(keys)
     check_length(met, min(sum(part.seconds for part in plan) for plan in plans))
-    wanted = SynthesisOptions(**options, keys=met)
-    return SynthesisRequest(model, plans, replace(wanted, count=max(wanted.count, len(plans))))
+    synthesis = SynthesisOptions(**options, keys=met)
+    return SynthesisRequest(model, plans, replace(synthesis, count=max(synthesis.count, len(plans))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,9 @@ class PathRequest:
 
 def is_path_file(path: str | Path) -> bool:
     """Whether a path is a file rather than a named shape."""
-    return Path(path).suffix.lower() in PATH_ENDINGS or Path(path).is_file()
+    from motionkit.rig.read_file import ENDINGS
+
+    return Path(path).suffix.lower() in (*PATH_ENDINGS, *ENDINGS) or Path(path).is_file()
 
 
 def path_request(
@@ -176,8 +178,8 @@ def path_request(
     """
     model = (model or open_model()).with_reference(reference)
     if isinstance(path, Path2D) or is_path_file(path):
-        check_shape_options(types, size, speed)
         target = path if isinstance(path, Path2D) else read_path(path)
+        check_shape_options(types, size, speed)
     else:
         kinds = [nfc(word.strip()) for word in (types or walking_type(model)).split(",") if word.strip()]
         if not kinds:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.locks import held
+from motionkit.locks import locked
 from motionkit.motion.bvh import write_bvh
 from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_walk
@@ -52,7 +52,7 @@ def test_the_second_run_on_an_output_is_refused(
 ) -> None:
     words = tuple(str(dataset_folder) if word == "DATASET" else word for word in words)
     where = Path(place.replace("FILE", "last-frame-0.json"))
-    with held(where, "testing"):
+    with locked(where, "testing"):
         before = visible(tmp_path)
         said = motionkit(*words)
         assert said.code == 1 and "another run is" in said.err and "(process " in said.err

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from motionkit.cli.main import main
+from motionkit.export.formats import read_motion, write_motion
 from motionkit.motion.bvh import read_bvh
+from synthetic_motions import make_walk
 
 BROKEN = Path(__file__).parents[1] / "broken_bvh"
 
@@ -76,8 +78,9 @@ def test_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
         "2 frames at 20 fps; unit: no human rig; taken as centimetres; +Y up; 3 joints, no known human rig"
     )
     assert json.loads(capsys.readouterr().out) == {
-        "mirrored": [{"file": str(source), "output": str(target), "taken": taken}],
-        "failed": [],
+        "file": str(source),
+        "output": str(target),
+        "taken": taken,
     }
     np.testing.assert_array_equal(read_bvh(target).values[0], [-1, 90, 3, -4, -5, 6, -10, -11, 12, -7, -8, 9])
 
@@ -86,16 +89,22 @@ def test_a_folder_with_a_broken_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = tmp_path / "in"
-    source.mkdir()
-    (source / "z.bvh").write_text(RIG)
-    (source / "bad.bvh").write_bytes((BROKEN / "nan.bvh").read_bytes())
+    (source / "deep").mkdir(parents=True)
+    (source / "deep" / "z.bvh").write_text(RIG)
+    write_motion(source / "walk.glb", make_walk(30))
+    (source / "bad.BVH").write_bytes((BROKEN / "nan.bvh").read_bytes())
     assert run(monkeypatch, "mirror", source, tmp_path / "out") == 1
     out, err = capsys.readouterr()
-    assert "1 of 2 files mirrored" in out
-    assert "bad.bvh:" in err and "Traceback" not in err
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["z.bvh"]
-    assert run(monkeypatch, "mirror", "--strict", source, tmp_path / "strict") == 1
-    assert not (tmp_path / "strict").exists()
+    assert "2 of 3 files written" in out
+    assert "bad.BVH" in err and "Traceback" not in err
+    made = sorted(str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").rglob("*.*"))
+    assert made == ["deep/z.bvh", "walk.bvh"]
+
+
+def test_from_bvh_to_another_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_motion(tmp_path / "a.bvh", make_walk(30))
+    assert run(monkeypatch, "mirror", tmp_path / "a.bvh", tmp_path / "a.npz") == 0
+    assert len(read_motion(tmp_path / "a.npz")) == 30
 
 
 def test_a_rig_without_sides_is_named(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from motionkit.cli.common import lines_of_files
 from motionkit.errors import OverwriteError
 from motionkit.files import atomic_write, check_outputs, files_below
 from motionkit.motion.bvh import read_bvh
@@ -162,8 +163,8 @@ def test_links_to_folders_are_followed_once(tmp_path: Path, motionkit) -> None:
     clips = linked_clips(tmp_path)
     assert files_below(clips, ".bvh") == [clips / "more" / "running" / "b.BVH", clips / "walking" / "a.bvh"]
     said = motionkit("mirror", clips, "out", "--json")
-    assert len(json.loads(said.out)["mirrored"]) == 2 and said.code == 0
-    assert sorted(contents(tmp_path / "out")) == ["more/running/b.BVH", "walking/a.bvh"]
+    assert json.loads(said.out)["written"] == 2 and said.code == 0
+    assert sorted(contents(tmp_path / "out")) == ["more/running/b.bvh", "walking/a.bvh"]
 
 
 def test_linked_folders_of_a_dataset(tmp_path: Path, clips_folder: Path, motionkit) -> None:
@@ -234,3 +235,20 @@ def test_long_work_says_so_before_it_begins(motionkit, home: Path, monkeypatch: 
         "making 1.4 hours of motion, which can take minutes; Ctrl-C stops", "error: the work",
     ]  # fmt: skip
     assert motionkit("follow-path", "line", "--model", "m.safetensors").err == "error: the work\n"
+
+
+@pytest.mark.parametrize(
+    ("files", "lines"),
+    [
+        (3, 3),  # few are named
+        (3000, 1),  # many of which the same is said are one line
+    ],
+)
+def test_lines_of_files_stay_few(files: int, lines: int) -> None:
+    said = [(f"in/{number}.bvh", f"in/{number}.bvh:1: is empty") for number in range(files)]
+    odd = [(f"in/odd{number}.bvh", "is a folder") for number in range(3)]
+    found = lines_of_files([*said, *odd])
+    assert len(found) == lines + 3 and found[-1] == "in/odd2.bvh: is a folder"
+    assert found[0] == ("in/0.bvh:1: is empty" if lines > 1 else "3000 files, such as in/0.bvh:1: is empty")
+    each = [(f"{number}.bvh", f"{number} values were cut") for number in range(3000)]
+    assert lines_of_files(each)[-1] == "... and 2980 more files; --json lists all"

@@ -34,7 +34,7 @@ def clips(clips_folder: Path, tmp_path: Path) -> Path:
 def brief(briefly_calibrated: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """A quickstart of seconds."""
     monkeypatch.setattr(presets, "FINE_TUNE", presets.FINE_TUNE | {"splices": 2, "batch": 2, "window": 16})
-    monkeypatch.setattr("motionkit.first_model.SHOWN_SECONDS", 0.2)
+    monkeypatch.setattr("motionkit.first_model.EXAMPLE_SECONDS", 0.2)
     monkeypatch.setattr("motionkit.first_model.ROLL_OUT_SECONDS", 0.5)
     few = replace(quick.QUICK_TYPES, seeds=2, accuracy_seconds=3.0, repeats=1)
     for name, value in (("QUICK_TYPES", few), ("WALK_RADIUS", 0.5), ("RUN_RADIUS", 1.0)):

@@ -50,6 +50,8 @@ def clips(tmp_path: Path) -> None:
         "doctor odd --json",
         "metrics odd/walk.bvh --json",
         "preprocess odd -o a --jobs 1 --no-test --no-validation --json",
+        "preprocess odd -o a --jobs 2 --no-test --no-validation --json",
+        "doctor odd --jobs 2 --json",
         "fix odd -o a --jobs 2",
     ],
 )

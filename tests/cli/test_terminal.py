@@ -128,7 +128,7 @@ def clip(tmp_path: Path) -> Path:
     [
         (["view", "CLIP", "-o", "x.gif", "--width", 160], "drawing"),
         (["view", "CLIP", "-o", "x.mp4", "--width", 160], "drawing"),
-        (["mirror", "FOLDER", "out"], "mirroring"),
+        (["mirror", "FOLDER", "out"], "working"),
         (["preprocess", "CLIPS", "-o", "ds", "--jobs", 1], "reading"),
         (["synthesize", "--model", "MODEL", "--types", "idle:0.5"], "synthesizing"),
         (["synthesize", "--model", "MODEL", "--types", "idle:0.1", "--count", 3], "writing"),

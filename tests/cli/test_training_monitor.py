@@ -7,9 +7,8 @@ import click
 import pytest
 
 from motionkit.cli.training_monitor import TrainingMonitor, check_preview
-from motionkit.data.amounts import small_types, type_amounts
 from motionkit.data.dataset import Dataset
-from motionkit.data.repeat import FEW_SECONDS
+from motionkit.data.repeat import FEW_SECONDS, small_types, type_amounts
 from motionkit.motion.bvh import write_bvh
 from motionkit.names import duration
 from motionkit.training.presets import train_options

@@ -44,9 +44,8 @@ def test_what_stands_still_is_cut_off(motionkit, walk: Motion, tmp_path: Path) -
 
 
 def test_what_is_not_there_is_refused(motionkit, walk: Motion) -> None:
-    assert motionkit("trim", "walk.bvh", "--from", 5).failed_with(
-        "frames 300 to 120 asked for, but it has 120"
-    )
+    assert motionkit("trim", "walk.bvh", "--from", 5).failed_with("--from is frame 300, but the clip has 120")
+    assert motionkit("trim", "walk.bvh", "--from", 1, "--to", "20f").failed_with("--to is frame 20")
     assert motionkit("trim", "walk.bvh", "--from", "five").code == 2
 
 
@@ -60,16 +59,26 @@ def test_a_folder_is_done_but_for_what_fails(motionkit, walk: Motion, tmp_path: 
     target = ("out",) if command == "convert" else ("-o", "out")
     form = "png" if command == "view" else "csv"
     said = motionkit(command, "in", *target, "--jobs", 1, "--format", form)
-    assert said.code == 1 and "out: 2 of 3 files written" in said.out
+    assert said.code == 1 and "out: 2 of 3 files written\n  2 files: unit: centimetres; +Y up; 23" in said.out
     assert said.err.count("failed: ") == 1 and "bad.bvh" in said.err and "1 of 3 files failed" in said.err
     assert sorted(p.name for p in (tmp_path / "out").rglob("*.*")) == [f"a.{form}", f"b.{form}"]
     assert motionkit(command, "in", *(("in/x",) if command == "convert" else ("-o", "in/x"))).code == 2
 
 
 @pytest.mark.parametrize(
-    ("typed", "meant"), [("synthesise", "synthesize"), ("looking", "view"), ("follow_path", "follow-path")]
+    ("typed", "meant"),
+    [
+        ("synthesise", "synthesize"),
+        ("looking", "view"),
+        ("follow_path", "follow-path"),
+        ("list-types", "synthesize --list-types"),
+        ("--list-types", "synthesize --list-types"),
+        ("types", "synthesize --list-types"),
+        ("--types", "synthesize --types"),
+        ("walk.bvh", "view walk.bvh"),
+    ],
 )
-def test_mistyped_commands_are_suggested(motionkit, typed: str, meant: str) -> None:
+def test_mistyped_commands_are_suggested(motionkit, walk: Motion, typed: str, meant: str) -> None:
     assert f"did you mean {meant}?" in motionkit(typed).err
 
 
@@ -80,6 +89,8 @@ def test_mistyped_commands_are_suggested(motionkit, typed: str, meant: str) -> N
         (("retarget", "walk.bvh", "walk.bvh"), "did you mean --rig walk.bvh?"),
         (("fix", "walk.bvh", "out.bvh"), "did you mean -o out.bvh?"),
         (("follow-path", "walk.bvh"), "is a motion, expected a path"),
+        (("follow-path", "walk.bvh", "--types", "walking"), "is a motion, expected a path"),
+        (("follow-path", "none.bvh", "--types", "walking"), "none.bvh: no such file"),
     ],
 )
 def test_what_is_in_the_wrong_place_is_suggested(

@@ -8,19 +8,26 @@ import pytest
 
 from motionkit.arrays import Array, spans
 from motionkit.control.follow import GUIDED, PathFollower, follow_path
-from motionkit.control.path import SPACING, Path2D, PathPart, make_path, shape_path
+from motionkit.control.path import SHAPES, SPACING, Path2D, PathPart, make_path, shape_path
+from motionkit.control.path_place import PathPlace, plan_route
 from motionkit.control.plan import plan_path
-from motionkit.control.speeds import PROFILE, lateral_limit, speed_profile
+from motionkit.control.speeds import PROFILE, lateral_limit
 from motionkit.control.synthesize import SynthesisOptions
 from motionkit.errors import ControlError
 from motionkit.metrics.trajectory import trajectory_distance
+from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import ReferenceClip
 from motionkit.motion.rotations import rotate_ground
+from oracle.path import PathInNumpy, even_path
 
 
 def following(model: MotionModel, path: Path2D) -> PathFollower:
     return PathFollower(model, plan_path(model, path))
+
+
+def speeds_along(model: MotionModel, path: Path2D) -> Array:
+    return plan_route(model, path).speeds
 
 
 def walk_obediently(follower: PathFollower, path: Path2D, frames: int) -> tuple[Array, list[Array]]:
@@ -66,11 +73,49 @@ def test_an_obedient_body_follows_to_the_end(
     assert len(track) / 60 == pytest.approx(follower.plan.seconds, rel=0.15), "at the planned speed"
 
 
+LOOP = [[0, 0], [0, 400], [300, 400], [300, 200], [-200, 200]]  # crosses itself
+PATHS: dict[str, list[PathPart]] = {
+    "shapes": [PathPart(shape_path(name, 1.5, [""], None).points, "walking") for name in SHAPES],
+    "crossing": [PathPart(np.array(LOOP, np.float64), "running", 250.0)],
+    "way back": [PathPart(np.array([[0, 0], [0, 300], [0, 0], [0, 300]], np.float64), "walking", 120.0, 1.0)],
+    "stops": [
+        PathPart(np.array([[0, 0], [0, 300], [0, 300], [200, 300]], np.float64), "running", None, 0.5),
+        PathPart(np.array([[200, 304.1]]), "b-walking", 5.0, 2.0),
+        PathPart(np.array([[200, 600], [500, 600]], np.float64), "cartwheel", 400.0),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_c_follows_as_numpy_does(name: str) -> None:
+    """Points, speeds, types, and each frame of a body that goes along beside the path, stops and is pushed."""
+    model, rng = load_bundled_model(), np.random.default_rng(3)
+    path, expected = make_path(PATHS[name]), even_path(PATHS[name])
+    route, theirs = plan_route(model, path), PathInNumpy(model, expected)
+    for ours, their in ((path.points, expected.points), (path.tangents, expected.tangents)):
+        np.testing.assert_allclose(ours, their, atol=1e-9)
+    assert np.array_equal(path.part, expected.part) and np.array_equal(route.track, theirs.track)
+    np.testing.assert_allclose(route.speeds, theirs.speeds, rtol=1e-6)
+    place, ground = PathPlace(route), np.zeros(3)
+    for frame in range(3000):
+        standing = place.move(ground)
+        stands, trajectory, weights = theirs.follow(ground)
+        assert standing == stands and place.arc == pytest.approx(theirs.arc, abs=1e-9)
+        np.testing.assert_allclose(place.words.trajectory, trajectory, rtol=1e-6, atol=1e-5)
+        np.testing.assert_allclose(place.weights, weights, atol=1e-6)
+        if place.finished:
+            break
+        pushed = rng.normal(0.0, rng.choice([0.0, 4.0, 30.0]), 2) if frame % 40 == 0 else 0.0
+        ground[:2] += rotate_ground(ground[2], trajectory[:2] / 10.0) + pushed
+        ground[2] += rng.normal(0.0, 0.05)
+    assert place.finished and not theirs.stops, "it arrived"
+
+
 def test_samples_are_where_the_path_is_at_the_asked_speed(tiny_model: MotionModel) -> None:
     path = shape_path("line", 10.0, ["walking"], 1.2)
     follower = following(tiny_model, path)
     ground = np.array([[0.0, 100.0, 0.0]], np.float32)
-    follower.place.arc = 100.0
+    follower.place.words.arc = 100.0
     positions, directions = follower(0, ground).trajectory[0].reshape(2, 6, 2)
     assert np.allclose(positions[:, 1], 120.0 * np.arange(1, 7) / 6.0, atol=1e-2)
     assert np.abs(positions[:, 0]).max() < 1e-3
@@ -152,14 +197,14 @@ def test_bodies_slow_down_before_turns_the_more_the_sharper(tiny_model: MotionMo
     corners = [np.array([[0.0, 0.0], [0.0, 600.0], [0.0, 600.0] + 0.5 * np.array(way)]) for way in ways[:3]]
     corners += [np.array([[0.0, 0.0], [0.0, 600.0], way]) for way in ways[3:]]
     paths = [make_path([PathPart(points, "running", 300.0)]) for points in corners]
-    slowest = [float(speed_profile(tiny_model, path).min()) for path in paths]
+    slowest = [float(speeds_along(tiny_model, path).min()) for path in paths]
     assert slowest[0] == 300.0 and all(a > b for a, b in pairwise(slowest))
     assert slowest[-1] < 60.0, "it turns on the spot"
 
 
 @pytest.mark.parametrize("radius", [1.0, 3.0])
 def test_a_curve_is_gone_at_a_speed_that_its_radius_allows(tiny_model: MotionModel, radius: float) -> None:
-    speeds = speed_profile(tiny_model, shape_path("circle", radius, ["running"], 4.5))
+    speeds = speeds_along(tiny_model, shape_path("circle", radius, ["running"], 4.5))
     most = math.sqrt(100.0 * radius * lateral_limit(tiny_model, "running"))
     assert speeds[len(speeds) // 2] == pytest.approx(min(450.0, most), rel=0.02)
 
@@ -181,7 +226,7 @@ def test_a_way_back_on_the_way_there_is_gone(tiny_model: MotionModel, corners: l
 def test_the_speed_changes_no_faster_than_bodies_brake(tiny_model: MotionModel) -> None:
     line = [np.array([[0.0, 0.0], [0.0, 800.0]]), np.array([[0.0, 1400.0]]), np.array([[0.0, 2000.0]])]
     path = make_path([PathPart(p, "cartwheel", v) for p, v in zip(line, (360.0, 100.0, 300.0), strict=True)])
-    speeds = speed_profile(tiny_model, path)
+    speeds = speeds_along(tiny_model, path)
     accelerations = np.diff(speeds.astype(np.float64) ** 2) / (2.0 * SPACING)
     assert np.abs(accelerations).max() <= 1.001 * PROFILE.acceleration
     assert (speeds <= np.array([360.0, 100.0, 300.0])[path.part] + 1e-3).all()
@@ -228,9 +273,9 @@ def test_who_runs_walks_around_a_sharp_turn_and_to_a_stop(tiny_model: MotionMode
     assert (follower.plan.track[slow] == walking).all() and (
         follower.plan.track[follower.route.speeds >= slowest] == running
     ).all()
-    assert slow[path.nearest(900.0)] and slow[path.nearest(1800.0)] and 0.0 < slow.mean() < 0.5
-    weights = follower.type_weights(900.0)
-    assert float(weights[walking]) == 1.0 and float(follower.type_weights(300.0)[running]) == 1.0
+    assert slow[450] and slow[900] and 0.0 < slow.mean() < 0.5
+    weights = follower.place.type_weights(900.0)
+    assert float(weights[walking]) == 1.0 and float(follower.place.type_weights(300.0)[running]) == 1.0
     walked = following(tiny_model, make_path([PathPart(there_and_back, "walking")]))
     assert (walked.plan.track == walking).all(), "who walks has nothing slower"
     straight = following(tiny_model, shape_path("line", 10.0, ["running"], None))

@@ -11,7 +11,7 @@ import pytest
 import motionkit as mk
 from motionkit.arrays import Array
 from motionkit.control.keys import Key, check_keys, clip_pose, read_keys, smoothed_step
-from motionkit.control.meet import Stretch, arrival, planned_way, recorded_way
+from motionkit.control.meet import Stretch, arrival, planned_path, recorded_path
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import ControlError, MotionkitError
@@ -129,27 +129,27 @@ def test_on_the_way_to_a_key_a_body_goes_and_faces_as_recorded() -> None:
     ground[:, 2] = 0.5 * np.sin(np.linspace(0.0, np.pi, 22))
     begin = np.array([0.0, -2.0, 0.0])
     stretch = Stretch(-1, 20, np.zeros((92, 24), np.float32), np.full(22, -1.0, np.float32), ground, 1.0)
-    made = recorded_way(way, [stretch], begin)
+    made = recorded_path(way, [stretch], begin)
     assert made[-1] == pytest.approx(way[-1]) and made[9, 2] == pytest.approx(0.5, abs=0.02)
     steps = np.diff(made[:, :2], axis=0)
     assert steps == pytest.approx(np.broadcast_to([0.0, 2.0], steps.shape), abs=1e-5), (
         "what is off is spread evenly"
     )
-    assert np.array_equal(recorded_way(way, [], begin), way)
+    assert np.array_equal(recorded_path(way, [], begin), way)
 
 
 def test_a_way_passes_through_the_keys() -> None:
     keys = check_keys(
         [Key(1.0, position=np.array([0.0, 150.0])), Key(2.0, position=np.array([80.0, 250.0]), facing=1.2)]
     )
-    way = planned_way(keys, np.zeros(3), 60.0, 1.0)
+    way = planned_path(keys, np.zeros(3), 60.0, 1.0)
     assert way is not None and len(way) == 121
     assert way[60, :2] == pytest.approx([0.0, 150.0], abs=3.0) and way[120, :2] == pytest.approx(
         [80.0, 250.0]
     )
     assert way[120, 2] == pytest.approx(1.2)
     assert np.linalg.norm(np.diff(way[:, :2], axis=0), axis=-1).max() < 5.0
-    assert planned_way([Key(1.0)], np.zeros(3), 60.0, 1.0) is None
+    assert planned_path([Key(1.0)], np.zeros(3), 60.0, 1.0) is None
 
 
 def test_a_smoothed_step_rests_at_both_ends() -> None:

@@ -9,11 +9,11 @@ from motionkit.arrays import Array
 from motionkit.control.momentum import (
     CHANGE,
     LEAST,
-    asked_speed,
     carried_over,
     carried_speeds,
     forward_speeds,
     ground_speeds,
+    trajectory_speed,
 )
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, future_trajectory
 
@@ -44,7 +44,7 @@ def test_speed_over_the_ground_goes_any_way() -> None:
     sideways[:, 2] = 0.5
     assert ground_speeds(sideways, FPS) == pytest.approx(np.full(40, 120.0), abs=0.1)
     trajectory = future_trajectory(sideways, np.array([3]))[0]
-    assert asked_speed(trajectory, FPS) == pytest.approx(120.0, abs=0.1)
+    assert trajectory_speed(trajectory, FPS) == pytest.approx(120.0, abs=0.1)
 
 
 @pytest.mark.parametrize("before", [330.0, -20.0])

@@ -7,7 +7,7 @@ import pytest
 
 from motionkit.control.keys import Key
 from motionkit.control.path import PathPart, make_path
-from motionkit.control.plan import Stand, plan_keys, plan_path, plan_types
+from motionkit.control.plan import StandingSpan, plan_keys, plan_path, plan_types
 from motionkit.control.script import TypePart
 from motionkit.errors import ControlError
 from motionkit.models.model import MotionModel
@@ -30,10 +30,10 @@ def test_segments_cover_the_track(tiny_model: MotionModel) -> None:
 def test_bodies_settle_where_they_stand_after_another_type(tiny_model: MotionModel) -> None:
     kinds = ("idle", "running", "idle", "idle", "walking", "idle")
     plan = plan_types(tiny_model, [TypePart(kind, 1.0) for kind in kinds])
-    assert [segment.settles for segment in plan.segments] == [False, False, True, False, False, True]
-    assert plan.stands == [Stand("idle", 120, 240), Stand("idle", 300, None)]
+    assert [segment.stops for segment in plan.segments] == [False, False, True, False, False, True]
+    assert plan.standing_spans == [StandingSpan("idle", 120, 240), StandingSpan("idle", 300, None)]
     bare = plan_types(tiny_model.with_reference("none"), [TypePart("running", 1.0), TypePart("idle", 1.0)])
-    assert bare.stands == [], "without recordings nothing has to be moved to a stance"
+    assert bare.standing_spans == [], "without recordings nothing has to be moved to a stance"
 
 
 def test_the_segments_of_a_path_lie_along_it(tiny_model: MotionModel) -> None:

@@ -10,12 +10,12 @@ import pytest
 from model_changes import with_clips
 from motionkit.arrays import Array, lerp
 from motionkit.control.blending import LONGEST_BLEND, SHORTEST_BLEND, Crossfade
+from motionkit.control.character_start import last_poses, last_speed
 from motionkit.control.momentum import CHANGE
 from motionkit.control.motion_index import STATE_FRAMES
-from motionkit.control.opening import last_poses, last_speed
 from motionkit.control.plan import whole_performances
 from motionkit.control.recording_choice import GAIT, drawn_evenly
-from motionkit.control.reference_controls import OWN_SHARE
+from motionkit.control.reference_controls import RECORDED_SHARE
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.script import TypePart
 from motionkit.errors import ControlError
@@ -462,14 +462,14 @@ def test_the_speed_of_the_last_frames(tiny_model: MotionModel) -> None:
     assert last_speed(tiny_model, running[:1]) == 0.0
 
 
-@pytest.mark.parametrize("share", [0.0, OWN_SHARE])
+@pytest.mark.parametrize("share", [0.0, RECORDED_SHARE])
 def test_a_way_asked_for_is_met_by_the_recordings_own(tiny_model: MotionModel, share: float) -> None:
     reference_clip = recording(200)
     reference_clip.ground[:, 1] = np.arange(200.0, dtype=np.float32)  # straight ahead, 1 cm a frame
     asked = np.zeros((40, 24), np.float32)
     asked[:, 12:] = np.tile(np.float32([0.0, 1.0]), 6)
     asked[:, 0:12:2] = np.arange(10.0, 70.0, 10.0, dtype=np.float32)  # to the side
-    player = ReferencePlayer(with_clips(tiny_model, {"walking": [reference_clip]}), own_share=share)
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": [reference_clip]}), recorded_share=share)
     player.begin("walking", NEAR, trajectory=asked[0])
     shown = player.play(40, asked)
     own = future_trajectory(reference_clip.ground, np.arange(player.at - 40, player.at))

@@ -8,7 +8,8 @@ import pytest
 import motionkit as mk
 from model_changes import with_clips
 from motionkit.control.path import Path2D, shape_path
-from motionkit.control.speeds import check_speeds, other_speeds, part_speeds, speed_profile
+from motionkit.control.path_place import plan_route
+from motionkit.control.speeds import check_speeds, other_speeds, part_speeds
 from motionkit.errors import ControlError
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import ReferenceClip, recorded_speeds
@@ -43,7 +44,7 @@ def test_the_range_is_that_of_the_recordings_and_a_tenth_more() -> None:
 @pytest.mark.parametrize(("asked", "gone"), [(1.2, 120.0), (0.3, 90.0), (5.0, 165.0)])
 def test_a_gait_goes_as_its_recordings_do(model: MotionModel, asked: float, gone: float) -> None:
     assert part_speeds(model, line(asked)) == pytest.approx([gone], rel=1e-4)
-    assert speed_profile(model, line(asked))[50] == pytest.approx(gone, rel=1e-4)
+    assert plan_route(model, line(asked)).speeds[50] == pytest.approx(gone, rel=1e-4)
     if asked == 1.2:
         assert other_speeds(model, line(asked)) == []
         check_speeds(model, line(asked))

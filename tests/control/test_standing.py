@@ -9,12 +9,12 @@ import pytest
 
 from model_changes import with_clips
 from motionkit.arrays import Array
+from motionkit.control.character_start import StartState
 from motionkit.control.motion_index import STATE_FRAMES
-from motionkit.control.opening import Shown
 from motionkit.control.plan import plan_types
 from motionkit.control.planned_controls import CrowdController
 from motionkit.control.script import TypePart
-from motionkit.control.standing import BRAKING, SETTLING
+from motionkit.control.standing import BRAKING, STOPPING_FRAMES
 from motionkit.features.control import Controls
 from motionkit.features.reference import EMBEDDING_COUNT
 from motionkit.models.model import MotionModel
@@ -58,7 +58,7 @@ class Body:
 def rolled(model: MotionModel, parts: list[TypePart], present: Array | None) -> list[Controls]:
     """The controls of every frame of one character whose last frame is always the same (276,)."""
     bodies = None if present is None else Body(present[None])
-    controller = CrowdController(model, [plan_types(model, parts, Shown(NEAR))], bodies=bodies)
+    controller = CrowdController(model, [plan_types(model, parts, StartState(NEAR))], bodies=bodies)
     frames = sum(round(part.seconds * 60) for part in parts)
     return [controller(frame, np.zeros((1, 3))) for frame in range(frames)]
 
@@ -67,7 +67,7 @@ def test_controls_stay_as_they_were_read(tiny_model: MotionModel) -> None:
     """A frame that is read twice is the same, and later stances change nothing that was read before."""
     model = going_model(tiny_model, 130.0)
     body = Body(model.types["idle"].start_poses[0].features[-1:])
-    plan = plan_types(model, [TypePart("walking", 1.0), TypePart("idle", 4.0)], Shown(NEAR))
+    plan = plan_types(model, [TypePart("walking", 1.0), TypePart("idle", 4.0)], StartState(NEAR))
     controller = CrowdController(model, [plan], bodies=body)
     made = controller.controls.reference.copy()
     shown = [controller(frame, np.zeros((1, 3))).reference.copy() for frame in range(300)]
@@ -82,9 +82,10 @@ def test_a_run_is_braked_and_a_walk_stops_by_itself(
     model = going_model(tiny_model, speed)
     asked = controls_of(model, [TypePart("walking", 1.0), TypePart("idle", 4.0)], NEAR)
     assert (
-        not asked.reference_gain[60 : 60 + SETTLING].any() and not asked.reference[60 : 60 + SETTLING].any()
+        not asked.reference_gain[60 : 60 + STOPPING_FRAMES].any()
+        and not asked.reference[60 : 60 + STOPPING_FRAMES].any()
     )
-    assert asked.reference_gain[60 + SETTLING :].all()
+    assert asked.reference_gain[60 + STOPPING_FRAMES :].all()
     braked = float(asked.trajectory_mask[60:].sum()) / 60.0
     assert braked == pytest.approx(speed / BRAKING if brakes else 0.0, abs=0.1)
 
@@ -102,10 +103,10 @@ def test_recordings_are_shown_about_the_stance_that_was_found(tiny_model: Motion
     )
     parts = [TypePart("walking", 1.0), TypePart("idle", 2.0), TypePart("idle", 8.0), TypePart("walking", 1.0)]
     asked = rolled(model, parts, features)
-    settled = [each.reference[0] for each in asked[60 + SETTLING : 660]]
+    settled = [each.reference[0] for each in asked[60 + STOPPING_FRAMES : 660]]
     means = np.stack(settled).reshape(len(settled), -1, EMBEDDING_COUNT).mean(axis=(0, 1))
     assert np.abs(means - stance).max() < 0.1
-    assert not any(each.reference_gain.any() for each in asked[60 : 60 + SETTLING])
+    assert not any(each.reference_gain.any() for each in asked[60 : 60 + STOPPING_FRAMES])
     # The walk after it has its own poses.
     assert np.abs(asked[-1].reference).max() < 1e-6
 

@@ -4,17 +4,15 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
+from control.steered import AT_ONCE, FPS, FREE, walk_as_told
 from motionkit.control.steering import (
     STANDS_BELOW,
     Gaits,
     Steering,
     SteeringOptions,
-    nearest_turn,
-    spring,
-    spring_rate,
-    spring_travel,
     steered_type,
     usual_gaits,
     walking_type,
@@ -22,26 +20,39 @@ from motionkit.control.steering import (
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import Gait, MotionType
+from oracle import steering as oracle
+from oracle.steering import nearest_turn, spring, spring_rate, spring_travel
 
-FPS = 60.0
+
+def numbers_of(steering: Steering, velocity: tuple[float, float], facing: float | None) -> list[float]:
+    """The 24 numbers of a trajectory."""
+    return steering.trajectory(FREE, velocity, facing)[0][0].tolist()
 
 
-def walk_as_told(
-    steering: Steering, velocity: tuple[float, float], facing: float | None, frames: int
-) -> list:
-    """Ground places of a body that does what its trajectory says, frame by frame."""
-    x = z = heading = 0.0
-    out = []
-    for _ in range(frames):
-        steering.observe(x, z, heading, False)
-        numbers = steering.trajectory(velocity, facing)
-        ahead_x, ahead_z, sine, cosine = numbers[0] / 10, numbers[1] / 10, numbers[12], numbers[13]
-        turn = math.atan2(sine, cosine) / 10
-        x += math.cos(heading) * ahead_x + math.sin(heading) * ahead_z
-        z += -math.sin(heading) * ahead_x + math.cos(heading) * ahead_z
-        heading += turn
-        out.append((x, z, heading))
-    return out
+@pytest.mark.parametrize("seed", range(4))
+def test_c_steers_as_python_does(seed: int) -> None:
+    """Wishes and bodies at random: gaits, limits, speed controller, springs and anchor, frame by frame."""
+    rng, model = np.random.default_rng(seed), load_bundled_model()
+    ours, theirs = Steering(model), oracle.SteeringInPython(model, SteeringOptions())
+    place, moves, wish, facing, kind = np.zeros(3), np.zeros(3), (0.0, 0.0), None, "idle"
+    for frame in range(1500):
+        if frame % 45 == 0:
+            speed, angle = rng.choice([0.0, 10.0, 20.0, 90.0, 150.0, 400.0]), rng.uniform(-4.0, 4.0)
+            wish = (speed * math.sin(angle), speed * math.cos(angle))
+            facing = None if rng.random() < 0.5 else float(rng.uniform(-7.0, 7.0))
+            moves = rng.normal(0.0, rng.choice([0.0, 2.0]), 3) * (1.0, 1.0, 0.02)
+            kind = oracle.steered_type(model, wish, facing)
+            assert ours.type(wish, facing) == kind
+            kind = str(rng.choice([kind, kind, "walking", "running", "cartwheel", "dance-salsa"]))
+        place += moves + np.array([200.0, 0.0, 0.0]) * (rng.random() < 0.005)
+        free = bool(rng.random() < 0.02)
+        for one in (ours, theirs.springs):
+            one.observe(*place.tolist(), free)
+        (numbers,), (settled,) = ours.trajectory(kind, wish, facing)
+        expected, share = theirs.trajectory(kind, wish, facing)
+        np.testing.assert_allclose(numbers, expected, rtol=1e-6, atol=1e-5)
+        assert settled == pytest.approx(share, abs=1e-6)
+        assert ours.speed == pytest.approx(math.hypot(*theirs.springs.velocity), abs=1e-6)
 
 
 def test_a_spring_is_half_way_after_its_halflife_and_never_overshoots() -> None:
@@ -64,10 +75,10 @@ def test_the_way_of_a_spring_is_the_sum_of_its_distances() -> None:
 
 
 def test_the_trajectory_begins_at_the_present_velocity() -> None:
-    steering = Steering(FPS, SteeringOptions(own_share=0.02))
+    steering = Steering(load_bundled_model(), SteeringOptions(measured_share=0.02))
     for frame in range(120):  # runs along +Z while nobody steers
         steering.observe(0.0, 5.0 * frame, 0.0, True)
-    numbers = steering.trajectory((0.0, 0.0), None)
+    numbers = numbers_of(steering, (0.0, 0.0), None)
     first, last = numbers[1], numbers[11]
     assert 0 < first < 50.0, "it has begun to slow down in the first 10 frames"
     assert first > 30.0, "but is not at rest at once"
@@ -75,11 +86,11 @@ def test_the_trajectory_begins_at_the_present_velocity() -> None:
 
 
 def test_numbers_are_in_the_heading_frame() -> None:
-    steering = Steering(FPS, SteeringOptions(turn_speed=math.inf, turn_aside=math.pi))
+    steering = Steering(load_bundled_model(), AT_ONCE)
     steering.observe(7.0, 9.0, math.pi / 2, False)  # faces +X
-    numbers = steering.trajectory((0.0, 100.0), 0.0)  # is to go along +Z, which is to its right
+    numbers = numbers_of(steering, (0.0, 100.0), 0.0)  # is to go along +Z, which is to its right
     places, directions = numbers[:12], numbers[12:]
-    assert all(x < 0 for x in places[0::2]) and max(map(abs, places[1::2])) < 1e-9
+    assert all(x < 0 for x in places[0::2]) and max(map(abs, places[1::2])) < 1e-4
     turns = [math.atan2(s, c) for s, c in zip(directions[0::2], directions[1::2], strict=True)]
     assert all(a > b for a, b in pairwise(turns)), "turns right all the while"
     assert turns[-1] == pytest.approx(-math.pi / 2, abs=0.02)
@@ -88,7 +99,7 @@ def test_numbers_are_in_the_heading_frame() -> None:
 @pytest.mark.parametrize("speed", [120.0, 300.0])
 def test_a_body_that_turns_back_goes_about_where_it_faces(speed: float) -> None:
     options = SteeringOptions()
-    track = walk_as_told(Steering(FPS, options), (0.0, -speed), math.pi, 120)
+    track = walk_as_told(Steering(load_bundled_model(), options), (0.0, -speed), math.pi, 120)
     turns = [(b[2] - a[2]) * FPS for a, b in pairwise(track)]
     assert max(map(abs, turns)) < 1.1 * options.turn_speed
     assert track[-1][2] == pytest.approx(math.pi, abs=0.05)
@@ -98,7 +109,7 @@ def test_a_body_that_turns_back_goes_about_where_it_faces(speed: float) -> None:
 
 
 def test_an_obedient_body_reaches_velocity_and_facing() -> None:
-    track = walk_as_told(Steering(FPS, SteeringOptions()), (120.0, 0.0), math.pi / 2, 120)
+    track = walk_as_told(Steering(load_bundled_model()), (120.0, 0.0), math.pi / 2, 120)
     (x0, z0, _), (x1, z1, heading) = track[-2:]
     assert (x1 - x0) * FPS == pytest.approx(120.0, rel=0.03)
     assert abs(z1 - z0) * FPS < 1.0
@@ -106,29 +117,29 @@ def test_an_obedient_body_reaches_velocity_and_facing() -> None:
 
 
 def test_one_who_stands_goes_back_to_where_it_stopped() -> None:
-    steering = Steering(FPS, SteeringOptions())
+    steering = Steering(load_bundled_model())
     steering.observe(0.0, 0.0, 0.3, False)
-    steering.trajectory((0.0, 0.0), None)
+    numbers_of(steering, (0.0, 0.0), None)
     steering.observe(12.0, 0.0, 0.0, False)  # drifted and turned
-    numbers = steering.trajectory((0.0, 0.0), None)
+    numbers = numbers_of(steering, (0.0, 0.0), None)
     assert -12.5 < numbers[10] < -8.0, "the last place is most of the way back"
     assert math.atan2(numbers[22], numbers[23]) > 0.2, "and it turns back"
 
 
 def test_one_who_was_carried_off_stays_there() -> None:
-    steering = Steering(FPS, SteeringOptions())
+    steering = Steering(load_bundled_model())
     steering.observe(0.0, 0.0, 0.0, False)
-    steering.trajectory((0.0, 0.0), None)
+    numbers_of(steering, (0.0, 0.0), None)
     for _ in range(90):
         steering.observe(300.0, 0.0, 0.0, False)
-        numbers = steering.trajectory((0.0, 0.0), None)
+        numbers = numbers_of(steering, (0.0, 0.0), None)
     assert max(map(abs, numbers[:12])) < 5.0
 
 
 def test_facing_turns_the_short_way() -> None:
-    steering = Steering(FPS, SteeringOptions())
+    steering = Steering(load_bundled_model())
     steering.observe(0.0, 0.0, 3.0, False)
-    numbers = steering.trajectory((0.0, 0.0), -3.0)
+    numbers = numbers_of(steering, (0.0, 0.0), -3.0)
     turns = [math.atan2(s, c) for s, c in zip(numbers[12::2], numbers[13::2], strict=True)]
     assert all(0 < turn <= nearest_turn(-6.0) + 1e-6 for turn in turns)
 
@@ -190,16 +201,21 @@ def test_a_model_may_lack_gaits() -> None:
 
 
 def test_feet_hold_the_root_of_a_body_that_does_what_is_wanted() -> None:
-    steering = Steering(FPS, SteeringOptions())
+    steering = Steering(load_bundled_model())
+
+    def settled(wish: tuple[float, float]) -> float:
+        kept = type(steering.words).from_buffer_copy(steering.words)
+        _, share = steering.trajectory(FREE, wish, 0.0)
+        steering.words = kept
+        return float(share[0])
+
     walk_as_told(steering, (0.0, 130.0), 0.0, 120)
-    assert steering.settled((0.0, 130.0)) > 0.9
+    assert settled((0.0, 130.0)) > 0.9
     # Told to turn, to go back or to speed up, it is let go; to brake or to stand, its feet hold.
-    assert steering.settled((130.0, 0.0)) == steering.settled((0.0, -130.0)) == 0.0
-    assert steering.settled((0.0, 160.0)) == 0.0
-    assert steering.settled((0.0, 100.0)) == steering.settled((0.0, 0.0)) == 1.0
+    assert settled((130.0, 0.0)) == settled((0.0, -130.0)) == settled((0.0, 160.0)) == 0.0
+    assert settled((0.0, 100.0)) == settled((0.0, 0.0)) == 1.0
     shares = []
     for frame in range(60):
         steering.observe(frame * 130.0 / FPS, 260.0, 0.0, False)
-        shares.append(steering.settled((130.0, 0.0)))
-        steering.trajectory((130.0, 0.0), 0.0)
+        shares.append(steering.trajectory(FREE, (130.0, 0.0), 0.0)[1][0])
     assert shares[0] == 0.0 and min(shares[30:]) > 0.9

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
-from motionkit.data.glitches import LEAP_DISTANCE, cut_at_leaps, find_leaps
+from motionkit.data.cleaning import LEAP_DISTANCE, cut_at_leaps, find_leaps
 from motionkit.motion.kinematics import motion_kinematics
 from synthetic_motions import make_cartwheel, make_walk
 

@@ -124,7 +124,7 @@ def test_the_gallery_is_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     gallery = module("make_gallery")
     made = [gallery.Loop("Walk", "Types", "synthesize --types walking:0.5"), gallery.loops()[-1]]
     monkeypatch.setattr(gallery, "loops", lambda: made)
-    monkeypatch.setattr(gallery, "_make", lambda loop: gallery.Shown(loop.name, make_walk(20)))
+    monkeypatch.setattr(gallery, "_make", lambda loop: gallery.MotionView(loop.name, make_walk(20)))
     gallery.make_gallery(tmp_path)
     scripts = tmp_path / "static" / "gallery"
     assert all(f'data-loop="{loop.key}"' in (tmp_path / "gallery.md").read_text("utf-8") for loop in made)

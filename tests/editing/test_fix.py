@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.editing.fix import Fixed, Repairs, fix_motion
+from motionkit.editing.fix import Fixed, Repairs, _limbs, _rig, fix_motion
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion
 from motionkit.motion.bvh import read_bvh
@@ -77,15 +77,23 @@ def test_a_root_that_leaps_is_bridged(clip: Motion) -> None:
     assert np.abs(again.motion.root_positions - fixed.motion.root_positions).max() < 1e-3
 
 
-def test_a_step_that_makes_it_worse_is_taken_back(clip: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
-    def shaken(motion: Motion, strength: float) -> Motion:
-        noise = np.random.default_rng(0).normal(size=motion.root_positions.shape).astype(np.float32)
-        return replace(motion, root_positions=motion.root_positions + noise)
+@pytest.mark.parametrize("step", ["trembling", "sliding"])
+def test_a_step_that_makes_it_worse_is_taken_back(
+    clip: Motion, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """Both as far as they lower what they are for and as far as the body trembles after them."""
+    arm = clip.skeleton.index("LeftArm")
 
-    monkeypatch.setattr("motionkit.editing.fix._steadied", shaken)
-    fixed = fix_motion(clip, replace(NONE, trembling=True))
+    def shaken(motion: Motion) -> Motion:
+        turns, noise = motion.local_rotations.copy(), np.random.default_rng(0).normal(size=(len(motion), 3))
+        turns[:, arm] = quat_multiply(turns[:, arm], expmap_to_quat(0.05 * noise.astype(np.float32)))
+        return replace(motion, local_rotations=turns)
+
+    monkeypatch.setattr("motionkit.editing.fix._steadied", lambda motion, strength: shaken(motion))
+    monkeypatch.setattr("motionkit.editing.fix._on_the_floor", lambda made, *_: (shaken(made.motion), ()))
+    fixed = fix_motion(clip, replace(NONE, **{step: True}))
     assert np.abs(positions(fixed.motion) - positions(clip)).max() < 1e-3
-    assert fixed.notes[0].startswith("trembling: taken back, because it made it worse")
+    assert fixed.notes[0].startswith(f"{step}: taken back, because it made it worse (trembling (jerk) ")
 
 
 def test_feet_that_are_held_stand_still_in_the_table(clip: Motion) -> None:
@@ -170,6 +178,24 @@ def test_rigs_that_are_not_human_keep_their_floor(make_motion: Callable[..., Mot
     fixed = fix_motion(crane)
     assert any("not a known human" in note for note in fixed.notes)
     assert np.abs(positions(fixed.motion) - positions(crane)).max() < 1.0
+
+
+@pytest.mark.parametrize("below", [None, "LeftHand", "RightForeArm", "LeftLeg", "RightFoot"])
+def test_a_limb_is_three_joints_that_directly_follow_each_other(below: str | None) -> None:
+    walk = make_walk(2)
+    skeleton, turns = walk.skeleton, walk.local_rotations
+    if below:
+        joint = skeleton.names.index(below)
+        parents = [parent + (parent >= joint) for parent in skeleton.parents]
+        parents[joint : joint + 1] = [parents[joint], joint]
+        names = (*skeleton.names[:joint], "Twist", *skeleton.names[joint:])
+        skeleton = Skeleton(names, tuple(parents), np.insert(skeleton.offsets, joint, 0.0, axis=0))
+        turns = np.insert(turns, joint, [1.0, 0.0, 0.0, 0.0], axis=1)
+    motion = replace(walk, skeleton=skeleton, local_rotations=turns)
+    ends = [skeleton.names[end] for _, _, end in _limbs(motion, _rig(motion))]
+    wanted = ["LeftFoot", "LeftHand", "RightFoot", "RightHand"]
+    limb = {"RightForeArm": "RightHand", "LeftLeg": "LeftFoot"}.get(str(below), below)
+    assert ends == [end for end in wanted if end != limb]
 
 
 def shaken(clip: Motion) -> Motion:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.editing.loop import Loop, make_loop, seam
+from motionkit.editing.loop import Loop, _refined, make_loop, seam
 from motionkit.editing.root_motion import in_place
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion, write_motion
@@ -115,6 +115,16 @@ def test_a_first_search_by_strides_meets_a_wish(monkeypatch: pytest.MonkeyPatch)
     assert len(loop.motion) - 1 == pytest.approx(120, abs=6)
 
 
+@pytest.mark.parametrize(("ends", "near"), [
+    ((7, 47), True), ((13, 53), True), ((13, 50), True), ((6, 47), False), ((14, 53), False), ((7, 46), False),
+    ((13, 54), False), ((13, 49), False), ((7, 51), False),
+])  # fmt: skip
+def test_a_second_search_looks_one_stride_around_the_first(ends: tuple[int, int], near: bool) -> None:
+    rows = np.random.default_rng(0).normal(size=(80, 9))
+    rows[ends[1]] = rows[ends[0]]
+    assert (_refined(rows, 10, 50, 3, 3)[:2] == ends) == near
+
+
 def test_played_twice_a_loop_moves_on_as_within(tmp_path: Path) -> None:
     """Speeds of joints over the seam, in a clip of two cycles, are no larger than elsewhere."""
     loop = make_loop(read_motion(DATA / "16_45.bvh")).motion
@@ -147,6 +157,21 @@ def test_the_usual_pace_of_a_clip_decides() -> None:
     assert make_loop(fast).end - make_loop(fast).start < loop.end - loop.start, (
         "the fast cycle is the shorter one"
     )
+
+
+@pytest.mark.parametrize("minutes", [1.9, 6.0, 12.0])
+def test_a_long_clip_has_the_cycle_of_a_short_one(minutes: float) -> None:
+    """Of a standing start, a fast stretch and a walk, whose steps a long stride would always meet at the same pose."""
+    walk = make_walk(round(minutes * 1800), fps=30.0, turn=0.05)
+    stand = replace(
+        walk.cut(0, 2),
+        local_rotations=walk.local_rotations[[0] * 900],
+        root_positions=walk.root_positions[[0] * 900],
+    )
+    clip = joined(stand, joined(make_walk(900, fps=30.0, speed=250.0, cadence=1.5), walk))
+    loop = make_loop(clip)
+    assert loop.end - loop.start == 30 and loop.start >= 1799 and loop.difference < 0.5
+    assert make_loop(walk, seconds=3.0).seconds == pytest.approx(3.0, abs=0.1)
 
 
 def test_a_body_that_stands_sways_for_seconds() -> None:

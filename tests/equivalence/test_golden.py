@@ -23,7 +23,7 @@ SHARE, HEIGHT = 0.02, 0.2  # of ways and speeds; cm
 
 
 def amounts(positions: np.ndarray) -> np.ndarray:
-    """Of each character the root's way over the ground, the way of its joints beside the root, and their mean height.
+    """Each character's root path over the ground, the paths of its joints beside the root, and their mean height.
 
     positions are (characters, frames, 23, 3); what comes out is (3, characters).
     """

@@ -44,7 +44,8 @@ def import_centimetres():
     """Bones in cm with Y up, the object turned and scaled by .01, as files of Mixamo come."""
     import_glb()
     armature = the_armature()
-    armature.data.transform(Matrix.Scale(100.0, 4) @ TURN.inverted())
+    for item in (armature, *armature.children):
+        item.data.transform(Matrix.Scale(100.0, 4) @ TURN.inverted())
     armature.matrix_world = armature.matrix_world @ TURN @ Matrix.Scale(0.01, 4)
 
 
@@ -130,7 +131,13 @@ def failures():
     out = []
     armature = prepare("bvh")
     settings = bpy.context.scene.motionkit
-    for name, value in (("types", "flying"), ("model", "/nowhere/a.model"), ("markers", True)):
+    for name, value in (
+        ("types", "flying"),
+        ("model", "/nowhere/a.model"),
+        ("markers", True),
+        ("command", '"unclosed'),
+        ("command", "true"),
+    ):
         old, before = getattr(settings, name), state(armature)
         setattr(settings, name, value)
         out.append(fault())
@@ -193,6 +200,46 @@ def loop():
     return [[list(Vector(head) - Vector(row[0])) for head in row] for row in (first, last)]
 
 
+def soles():
+    """How high the lowest vertex of a mesh is in each frame, in m of the armature; the mesh is selected."""
+    armature = prepare("glb", MOVED)
+    at_rest(armature)
+    (body,) = (item for item in bpy.data.objects if item.find_armature() == armature)
+    bpy.context.view_layer.objects.active = body
+    body.select_set(True)
+    assert bpy.ops.motionkit.synthesize() == {"FINISHED"} and armature.data.pose_position == "POSE"
+    back, out = MOVED.inverted(), []
+    for frame in range(1, 61):
+        bpy.context.scene.frame_set(frame)
+        evaluated = body.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        to = back @ evaluated.matrix_world
+        out.append(min((to @ vertex.co).z for vertex in evaluated.to_mesh().vertices))
+    return out
+
+
+def under_a_connected_root():
+    """Heads where the hips are connected to a bone below them, which has to carry them."""
+    armature = prepare("bvh")
+    at_rest(armature)
+    bpy.ops.object.mode_set(mode="EDIT")
+    hips, root = armature.data.edit_bones["Hips"], armature.data.edit_bones.new("root")
+    root.head, root.tail = hips.head - Vector((0.0, 0.0, 0.9)), hips.head
+    hips.parent, hips.use_connect = root, True
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert bpy.ops.motionkit.synthesize() == {"FINISHED"}
+    return [row[:3] for row in all_heads(armature)]
+
+
+def a_new_body():
+    """The frames of an imported body's action, and the last of the scene."""
+    prepare("bvh")
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.context.scene.frame_start, bpy.context.scene.frame_end = 101, 110
+    assert bpy.ops.motionkit.synthesize() == {"FINISHED"}
+    action = bpy.context.view_layer.objects.active.animation_data.action
+    return [*action.frame_range, bpy.context.scene.frame_end]
+
+
 found = {
     "walks": {kind: [walk(kind, place) for place in (Matrix.Identity(4), MOVED @ TURN)] for kind in IMPORTS},
     "beginnings": begins_where_the_clip_began(),
@@ -200,5 +247,8 @@ found = {
     "curve": along_a_curve(),
     "marker": over_a_marker(),
     "loop": loop(),
+    "soles": soles(),
+    "connected": under_a_connected_root(),
+    "new body": a_new_body(),
 }
 print("RESULT " + json.dumps(found))

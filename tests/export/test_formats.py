@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from motionkit.errors import MotionkitError, SkeletonError
-from motionkit.export.clip import Clip
+from motionkit.export.clip import Clip, check_numbers, rig_clip
 from motionkit.export.figure import Figure, make_figure, skin_weights
-from motionkit.export.formats import WRITERS, check_ending, read_motion, write_motion
-from motionkit.export.tables import contacts
+from motionkit.export.formats import WRITERS, check_ending, read_clip, read_motion, write_motion
+from motionkit.export.tables import contacts, frame_types
 from motionkit.export.usda import joint_paths
 from motionkit.export.vrma import BONES, humanoid_motion
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
@@ -27,6 +27,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_angle, quat_to_matrix
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from motionkit.rig.gltf import GltfDocument, GltfFile
+from motionkit.rig.on_rig import read_rig
 from synthetic_motions import make_walk
 
 CMU = Path(__file__).resolve().parents[2] / "examples" / "data" / "16_45.bvh"
@@ -504,6 +505,79 @@ def test_channels_are_kept_that_hold_the_motion(
     assert (clip.with_motion(six_channels).channels is not None) == kept
 
 
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [("none", (True, True)), ("rest", (True, False)), ("names", (False, False))],
+)
+def test_the_text_of_a_source_is_kept_with_its_rest_pose(change: str, kept: tuple[bool, bool]) -> None:
+    """Its channels, and its hierarchy, also where the rest pose differs by less than a thousandth."""
+    clip = read_clip(CMU)
+    skeleton, rig = clip.motion.skeleton, read_rig(CMU)
+    skeleton = {
+        "none": skeleton,
+        "rest": replace(skeleton, offsets=skeleton.offsets * np.float32(1.0005)),
+        "names": replace(skeleton, names=tuple(f"{name}_" for name in skeleton.names)),
+    }[change]
+    clip = replace(clip, hierarchy="text")
+    edited = clip.with_motion(replace(clip.motion, skeleton=skeleton))
+    assert (edited.channels is not None, edited.hierarchy is not None) == kept
+    if change != "names":
+        assert (rig_clip(edited.motion, rig, "a").hierarchy is not None) == kept[1]
+
+
+@pytest.mark.parametrize(
+    ("character", "types", "name"),
+    [
+        (True, ("walking", "idle", "walking"), "walking-idle"),
+        (True, (), "clip"),
+        (False, ("walking",), "clip"),
+    ],
+)
+def test_an_animation_of_a_character_is_called_by_its_types(
+    walk: Motion, tmp_path: Path, character: bool, types: tuple[str, ...], name: str
+) -> None:
+    write_motion(tmp_path / "a.glb", walk)
+    rig = read_rig(tmp_path / "a.glb")
+    rig = rig if character else replace(rig, character=None)
+    assert rig_clip(walk, rig, "clip", [(kind, 1.0) for kind in types]).name == name
+
+
+@pytest.mark.parametrize(
+    ("values", "fits"),
+    [
+        ({"root": 1e7}, True), ({"root": -1.001e7}, False), ({"end": 1.001e7}, False), ({"bone": 1.001e7}, False),
+        ({"turn": 1.009}, True), ({"turn": 1.011}, False), ({"turn": 0.991}, True), ({"turn": 0.989}, False),
+        ({"fps": np.inf}, False), ({"fps": 0.001}, True),
+    ],
+)  # fmt: skip
+def test_the_largest_numbers_of_a_file(make_motion: Callable[..., Motion], values: dict, fits: bool) -> None:
+    offsets = np.float32([[0, 0, 0], [0, 60, 0], [0, values.get("bone", 80), 10]])
+    ends = {2: (0.0, values.get("end", 9.0), 0.0)}
+    motion = make_motion(3, skeleton=Skeleton(("Base", "Boom", "Hook"), (-1, 0, 1), offsets, ends))
+    roots = np.full((3, 3), values.get("root", 0.0))
+    turns = motion.local_rotations * np.float32(values.get("turn", 1.0))
+    motion = replace(motion, root_positions=roots, local_rotations=turns, fps=values.get("fps", 30.0))
+    if fits:
+        check_numbers("a", motion)
+    else:
+        with pytest.raises(MotionkitError, match="a: not written"):
+            check_numbers("a", motion)
+
+
+@pytest.mark.parametrize(
+    ("types", "labels"),
+    [
+        ((), [""] * 6),
+        ((("a", 0.1),), ["a"] * 6),
+        ((("a", 0.1), ("b", 9.0)), ["a"] * 3 + ["b"] * 3),
+        ((("a", 0.05), ("b", 0.05), ("c", 0.05)), ["a", "a", "b", "c", "c", "c"]),
+    ],
+)
+def test_every_frame_has_a_type(walk: Motion, types: tuple, labels: list[str]) -> None:
+    """Of the time that has passed, rounded once; the last one goes on."""
+    assert frame_types(Clip(replace(walk.cut(0, 6), fps=30.0), types=types)) == labels
+
+
 def test_contacts_do_not_depend_on_the_floor(walk: Motion) -> None:
     raised = replace(walk, root_positions=walk.root_positions + np.float32([0.0, 30.0, 0.0]))
     assert contacts(walk).any() and np.array_equal(contacts(raised), contacts(walk))
@@ -524,3 +598,22 @@ def test_spine_and_thighs_hang_from_the_hips_in_a_vrma(walk: Motion, tmp_path: P
     bones = document["extensions"]["VRMC_vrm_animation"]["humanoid"]["humanBones"]
     children = set(document["nodes"][bones["hips"]["node"]]["children"])
     assert {bones[name]["node"] for name in ("spine", "leftUpperLeg", "rightUpperLeg")} == children
+
+
+@pytest.mark.parametrize(("frames", "types"), [
+    ([1], ["walking"] * 4), ([1, 1], ["walking", *["running"] * 3]), ([9], ["walking"] * 4), ([], [""] * 4),
+])  # fmt: skip
+def test_a_table_names_the_type_of_every_frame(frames: list[int], types: list[str]) -> None:
+    kinds = [(kind, count / 60.0) for kind, count in zip(("walking", "running"), frames, strict=False)]
+    assert frame_types(Clip(make_walk(4), "a", kinds)) == types
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.0, True), (0.5, True), (2.0, False)])
+def test_a_rig_keeps_its_text_if_its_bones_are_as_they_were(share: float, kept: bool) -> None:
+    rig = read_rig(CMU)
+    offsets = rig.skeleton.offsets.astype(np.float64)
+    offsets[3, 1] += share * 1e-5 * rig.leg
+    still = np.zeros((2, len(offsets), 4), np.float32)
+    still[..., 0] = 1.0
+    motion = Motion(replace(rig.skeleton, offsets=offsets), still, np.zeros((2, 3), np.float32), 60.0)
+    assert rig.hierarchy and (rig_clip(motion, rig, "a").hierarchy == rig.hierarchy) == kept

@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -235,7 +236,8 @@ def blender(*words: object, seconds: float = 170.0) -> str:
     if not python:
         lacking("MOTIONKIT_BPY names no Python that has bpy")
     done = subprocess.run([python, *map(str, words)], capture_output=True, text=True, timeout=seconds)
-    assert done.returncode == 0, done.stderr + done.stdout
+    # The result is the last that a script does; Blender 4.2 as a module crashes after it, as Python ends.
+    assert "\nRESULT " in f"\n{done.stdout}", done.stderr + done.stdout
     return done.stdout
 
 
@@ -260,13 +262,13 @@ def test_fbx_through_blender(
     )  # which is called with --background --factory-startup --python SCRIPT -- ...
     started.write_text(f'#!/bin/sh\nshift 3\nexec {os.environ.get("MOTIONKIT_BPY")} "$@"\n')
     started.chmod(0o755)
-    blender("-c", "import bpy")
+    blender("-c", "import bpy; print('RESULT ')")
     write_motion(tmp_path / "a.fbx", motion)
     lines = blender(HERE / "blender_check.py", JOINT, SECONDS, tmp_path / "a.fbx").splitlines()
     (found,) = json.loads(next(line for line in lines if line.startswith("RESULT "))[7:])
     assert (found["bones"], found["frames"]) == (len(motion.skeleton), len(motion))
     assert found["place"] == pytest.approx(place, abs=5e-3)
-    with reading(hear=lambda note: None):
+    with reading(on_note=lambda note: None):
         again = read_motion(tmp_path / "a.fbx")
     index = [again.skeleton.index(name) for name in motion.skeleton.names]
     assert again.fps == motion.fps
@@ -339,13 +341,25 @@ def test_the_blender_add_on_works_in_the_armatures_own_space(
     assert first[0, :2] == pytest.approx(clip[0, :2], abs=1e-4) and second == pytest.approx(first, abs=1e-4)
     for fault, words in zip(
         found["faults"],
-        ("unknown motion type", "'--model'", "timeline marker", "scale of zero", "LeftUpLeg"),
+        (
+            "unknown motion type",
+            "'--model'",
+            "timeline marker",
+            "No closing quotation",
+            "is not motionkit",
+            "scale of zero",
+            "LeftUpLeg",
+        ),
         strict=True,
     ):
-        assert words in fault
+        assert words in fault and str(Path(tempfile.gettempdir(), "tmp")) not in fault
     hips = np.array(found["curve"])[:, 0]
     assert np.hypot(hips[:, 0] - 1.0, hips[:, 1] - 2.0) == pytest.approx(2.0, abs=0.05)
     assert np.linalg.norm(np.diff(hips[:, :2], axis=0), axis=1).mean() * 30 == pytest.approx(1.2, abs=0.1)
     assert found["marker"] < 0.1
     first, last = np.array(found["loop"])
     assert last == pytest.approx(first, abs=0.05)
+    assert np.abs(found["soles"]).max() < 0.01
+    carried = np.array(found["connected"])
+    assert carried[-1, 0, 1] - carried[0, 0, 1] < -2.0 and 0.02 < carried[:, 1:, 2].min() < 0.05
+    assert found["new body"] == [101.0, 160.0, 160.0]

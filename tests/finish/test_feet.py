@@ -6,30 +6,17 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
-from motionkit.finish.feet import LIFT_FRAMES, MIN_LOCK_FRAMES, lock_feet, locked_spans
+from motionkit.finish.feet import LIFT_FRAMES, MIN_LOCK_FRAMES, clear_toes, lock_feet, locked_spans
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.leg_ik import LOCK, TOE
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_angle
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES
-from synthetic_motions import make_idle, make_walk, placed
+from synthetic_motions import feet_down, make_idle, make_walk, placed, sliding
 
 LEFT_TOE, RIGHT_TOE = FOOT_JOINTS[1], FOOT_JOINTS[3]
+BETWEEN = 0.5 * (LOCK.contact_off + LOCK.contact_on)
 LEGS = [JOINT_NAMES.index(s + n) for s in ("Left", "Right") for n in ("UpLeg", "Leg", "Foot")]
-
-
-def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> Array:
-    """Contacts (T, 4) with both feet down in the given frames."""
-    contacts = np.zeros((frames, 4), np.float32)
-    for columns, spans in ((slice(0, 2), left), (slice(2, 4), right)):
-        for start, end in spans:
-            contacts[start:end, columns] = 1.0
-    return contacts
-
-
-def sliding(frames: int = 120, speed: float = 10.0, crouch: float = 0.4) -> Motion:
-    """A body whose feet slide with its root at `speed` cm/s, with knees bent by `crouch` radians."""
-    return make_walk(frames, speed=speed, turn=0.0, swing=0.08, cadence=0.3, crouch=crouch)
 
 
 def toe_track(motion: Motion, toe: int) -> Array:
@@ -94,11 +81,11 @@ def test_both_feet_at_once(crouch: float) -> None:
 
 
 def test_frames_away_from_a_lock_are_unchanged() -> None:
-    motion = sliding()
-    locked = lock_feet(motion, feet_down(120, [(50, 70)], []))
+    motion = sliding(200)
+    locked = lock_feet(motion, feet_down(200, [(90, 110)], []))
     near = 3 * LOCK.ease_frames + 1  # the foot eases in and out, the hips a little longer
-    away = np.ones(120, bool)
-    away[50 - near : 70 + near] = False
+    away = np.ones(200, bool)
+    away[90 - near : 110 + near] = False
     assert int(away.sum()) > 30
     assert np.array_equal(locked.local_rotations[away], motion.local_rotations[away])
     assert np.abs((locked.root_positions - motion.root_positions)[away]).max() < 1e-4
@@ -159,9 +146,20 @@ def test_no_toe_stays_under_the_floor() -> None:
     motion = make_idle(40)
     motion = replace(motion, root_positions=motion.root_positions - np.array([0.0, 6.0, 0.0], np.float32))
     assert float(toe_track(motion, LEFT_TOE)[:, 1].min()) < 0
-    locked = lock_feet(motion, np.zeros((40, 4), np.float32))
+    raised = clear_toes(motion)
     for toe in (LEFT_TOE, RIGHT_TOE):
-        assert float(toe_track(locked, toe)[:, 1].min()) > TOE.lowest - 0.1
+        assert float(toe_track(raised, toe)[:, 1].min()) > TOE.lowest - 0.1
+
+
+def test_a_swinging_toe_clears_the_floor_where_the_body_came_down() -> None:
+    motion = make_walk(120)
+    motion = replace(motion, root_positions=motion.root_positions - np.array([0.0, 4.0, 0.0], np.float32))
+    heights, swings = {}, {}
+    for name, shown in (("before", motion), ("after", clear_toes(motion))):
+        toe = toe_track(shown, LEFT_TOE)
+        swings[name] = np.linalg.norm(np.diff(toe[:, [0, 2]], axis=0), axis=-1) > TOE.fast
+        heights[name] = float(toe[1:][swings[name], 1].min())
+    assert heights["before"] < TOE.swing - 2.0 < TOE.swing - 0.1 < heights["after"]
 
 
 def test_turned_and_placed_motions_lock_alike() -> None:
@@ -176,15 +174,14 @@ def test_turned_and_placed_motions_lock_alike() -> None:
     [
         ([0.0] * 3 + [1.0] * 6 + [0.0] * 3, [(3, 9)]),
         ([1.0] * 12, [(0, 12)]),
-        ([0.25] * 12, []),  # never sure enough to begin
-        ([1.0] + [0.25] * 11, [(0, 12)]),  # but sure enough to go on
+        ([BETWEEN] * 12, []),  # never sure enough to begin
+        ([1.0] + [BETWEEN] * 11, [(0, 12)]),  # but sure enough to go on
         ([1.0] * (MIN_LOCK_FRAMES - 1) + [0.0] * 9, []),
         ([1.0] * 5 + [0.0] + [1.0] * 6, [(0, 5), (6, 12)]),
         ([0.0] * 12, []),
     ],
 )
 def test_locked_spans(level: list[float], spans: list[tuple[int, int]]) -> None:
-    assert LOCK.contact_off < 0.25 < LOCK.contact_on
     assert locked_spans(np.array([[v, 0.0] for v in level], np.float32)) == spans
     assert locked_spans(np.array([[0.0, v] for v in level], np.float32)) == spans
 
@@ -199,6 +196,7 @@ def test_a_foot_in_the_air_is_not_held_whatever_is_predicted() -> None:
 def test_a_single_frame_comes_back() -> None:
     motion = make_idle(5).cut(0, 1)
     assert lock_feet(motion, np.ones((1, 4), np.float32)) is motion
+    assert clear_toes(motion) is motion
 
 
 def test_a_toe_in_contact_stands_as_high_as_a_standing_one() -> None:
@@ -231,8 +229,8 @@ def test_feet_are_held_and_let_go_in_the_same_time_at_any_rate(fps: float) -> No
 
 
 def test_a_foot_that_has_slid_too_far_takes_its_new_place_by_a_step() -> None:
-    """A slow slide of 24 cm in one contact: the toe stands, goes up and ahead, and stands again."""
-    motion = sliding(120, 16.0)
+    """A slow slide of 44 cm in one contact: the toe stands, goes up and ahead, and stands again."""
+    motion = sliding(120, 24.0)
     locked = lock_feet(motion, feet_down(120, [(5, 115)], []))
     track = toe_track(locked, LEFT_TOE)
     steps = np.linalg.norm(np.diff(track[:, [0, 2]], axis=0), axis=-1)
@@ -245,7 +243,7 @@ def test_a_foot_that_has_slid_too_far_takes_its_new_place_by_a_step() -> None:
 
 
 def test_feet_step_one_after_the_other() -> None:
-    motion = sliding(120, 16.0)
+    motion = sliding(120, 24.0)
     locked = lock_feet(motion, feet_down(120, [(5, 115)], [(5, 115)]))
     going = [
         np.linalg.norm(np.diff(toe_track(locked, toe)[:, [0, 2]], axis=0), axis=-1)[8:110] > 0.1

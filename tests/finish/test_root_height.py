@@ -55,6 +55,12 @@ def test_a_flight_falls_freely_between_the_same_ends(acceleration: float) -> Non
     assert (moved[35, 1] > 0.0) == (acceleration > -9.81)
 
 
+@pytest.mark.parametrize(("frames", "corrected"), [(20, True), (26, True), (60, False)])
+def test_a_body_that_leaves_the_ground_too_slowly_for_its_flight_stays(frames: int, corrected: bool) -> None:
+    before = jump(-7.0, frames)
+    assert np.array_equal(in_the_air(before).root_positions, before.root_positions) != corrected
+
+
 def test_a_correction_comes_and_goes_smoothly() -> None:
     before = jump(-13.0)
     moved = (in_the_air(before).root_positions - before.root_positions)[:, 1]
@@ -82,9 +88,9 @@ def glide(height: float, frames: int = 14) -> Motion:
     above = float((motion_kinematics(still)[1][0, :, 1] - TOUCH_HEIGHTS).min())
     t = np.clip(np.arange(count) - stand, 0, frames) / frames
     roots = np.repeat(still.root_positions[:1], count, axis=0)
-    roots[:, 1] += (-HEIGHT.stands - above + (height + HEIGHT.stands) * np.sin(np.pi * t) ** 0.25).astype(
-        np.float32
-    )
+    roots[:, 1] += (
+        -HEIGHT.standing_depth - above + (height + HEIGHT.standing_depth) * np.sin(np.pi * t) ** 0.25
+    ).astype(np.float32)
     return replace(
         still, local_rotations=np.repeat(still.local_rotations[:1], count, axis=0), root_positions=roots
     )
@@ -104,7 +110,7 @@ def test_a_body_that_glides_comes_down() -> None:
 def test_what_flies_or_stands_does_not_in_the_air() -> None:
     short = glide(4.0).cut(24, 30)
     for motion in (
-        glide(HEIGHT.glide_height + 1.0),
+        glide(HEIGHT.floating_height + 1.0),
         glide(-0.5),
         jump(-9.81),
         jump(-9.81, 8),

@@ -16,6 +16,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -156,7 +157,7 @@ def _depth(place: tuple[Any, Any], places: list[tuple[Any, Any]]) -> int:
 
 
 def _changed(chance: random.Random, value: Any, holder: Any, key: Any) -> Any:
-    new = chance.choice(VALUES)
+    new = deepcopy(chance.choice(VALUES))  # a later change may be inside it
     if holder is None:
         return new if chance.random() < 0.2 else value
     change = chance.randrange(5)

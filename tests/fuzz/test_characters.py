@@ -27,7 +27,7 @@ from motionkit.motion.bvh import bvh_to_motion
 from motionkit.rig.character import read_character
 from motionkit.rig.gltf import BIN_CHUNK, JSON_CHUNK, MAGIC
 from motionkit.rig.read_file import read_file
-from motionkit.view.character_data import own_joints, page_bytes
+from motionkit.view.character_data import character_joints, page_bytes
 from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_walk
 
@@ -108,7 +108,7 @@ def character_case(chance: random.Random, folder: Path) -> Callable[[], None]:
     def show() -> None:
         character = read_character(path)
         page_bytes(character.tree.file)
-        text = json.dumps(own_joints(character, [0], 1.0, np.array([0.0, 1.0, 0.0])), allow_nan=False)
+        text = json.dumps(character_joints(character, [0], 1.0, np.array([0.0, 1.0, 0.0])), allow_nan=False)
         assert len(text) < 10**6
 
     def read() -> None:

@@ -20,7 +20,7 @@ from fuzz.mutation import (
     refuses_or_works,
 )
 from motionkit.control.keys import read_keys
-from motionkit.lab.paper.model_results import read_bodies, read_long, read_scenes
+from motionkit.lab.paper.model_results import read_models
 from motionkit.lab.paper.page import Extras, bodies_section, long_section, scenes_section
 from motionkit.lab.paper.ttest import FORMAT, read_answers, scores
 from motionkit.models.model import MotionModel
@@ -90,11 +90,11 @@ def cases(tiny_model: MotionModel) -> dict[str, Case]:
 
         def work() -> None:
             if kind == "long":
-                long_section(read_long(place), folder)
+                long_section(read_models(place, "long"), folder)
             elif kind == "bodies":
-                bodies_section(read_bodies(place))
+                bodies_section(read_models(place, "bodies"))
             else:
-                scenes_section(Extras(scenes=tuple(read_scenes(place))).scenes, folder)
+                scenes_section(Extras(scenes=tuple(read_models(place, "scenes"))).scenes, folder)
 
         return work
 

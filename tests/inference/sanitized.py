@@ -1,4 +1,4 @@
-"""What test_sanitizers.py runs in a process of its own: both kernels on random shapes and numbers.
+"""What test_sanitizers.py runs in a process of its own: the kernels on random shapes and numbers.
 
 Usage: python sanitized.py FOLDER_OF_LIBRARIES
 """
@@ -12,6 +12,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from motionkit.control import steering_kernel
+from motionkit.control.path import PathPart, make_path
+from motionkit.control.path_place import PathPlace, plan_route
+from motionkit.control.steering import Steering
 from motionkit.features.control import ControlLayout, Controls
 from motionkit.features.layout import LAYOUTS
 from motionkit.inference import frame_kernel, step_kernel
@@ -134,12 +138,47 @@ def try_attention(rng: np.random.Generator) -> None:
             attention_kernel.attend(qkv.to(kind), bias, position).float().square().sum().backward()
 
 
+def try_steering(rng: np.random.Generator) -> None:
+    """Wishes and places, some of them odd."""
+    steering = Steering(load_bundled_model())
+    for frame in range(200):
+        place, wish = ((odd if frame % 5 == 4 else usual)(rng, (3,)) * 200.0 for _ in range(2))
+        steering.observe(*place.tolist(), bool(rng.integers(2)))
+        kind = steering.type(tuple(wish[:2].tolist()), float(wish[2]))
+        steering.trajectory(kind, tuple(wish[:2].tolist()), float(wish[2]) if rng.integers(2) else None)
+
+
+def try_paths(rng: np.random.Generator) -> None:
+    """A path that turns anywhere, and places on and off it."""
+    model = load_bundled_model()
+    parts = [
+        PathPart(
+            rng.normal(0.0, 200.0, (int(rng.integers(2, 9)), 2)),
+            str(rng.choice(list(model.types))),
+            None if rng.integers(2) else float(rng.uniform(5.0, 900.0)),
+            float(rng.choice([0.0, 0.1, 1.0])),
+        )
+        for _ in range(int(rng.integers(1, 5)))
+    ]
+    place, ground = PathPlace(plan_route(model, make_path(parts))), np.zeros(3)
+    for frame in range(400):
+        place.move((odd(rng, (3,)) if frame % 9 == 8 else ground).astype(np.float64))
+        ground[:2] += rng.normal(0.0, 10.0, 2) + place.words.trajectory[:2]
+
+
 def main() -> None:
     folder, rng = Path(sys.argv[1]), np.random.default_rng(7)
-    for module in (step_kernel, frame_kernel, attention_kernel):
+    for module in (step_kernel, frame_kernel, attention_kernel, steering_kernel):
         module.load_library = lambda path, name, version: load_library(folder / path.name, name, version)
     np.seterr(all="ignore")
-    works = ((try_steps, 40), (try_poses, 40), (try_characters, 3), (try_attention, 20))
+    works = (
+        (try_steps, 40),
+        (try_poses, 40),
+        (try_characters, 3),
+        (try_attention, 20),
+        (try_steering, 20),
+        (try_paths, 20),
+    )
     for work, times in works:
         for _ in range(times):
             work(rng)

@@ -83,7 +83,7 @@ class Glider:
 def test_without_contact_nothing_changes() -> None:
     glider = Glider(3)
     for _ in range(20):
-        shown, plain = glider.step(1.0, 0.1)
+        shown, plain = glider.step(1.0, 0.0)
         assert np.array_equal(shown, plain)
 
 
@@ -102,7 +102,7 @@ def test_letting_go_is_gradual() -> None:
         glider.step(0.5, 0.9)
     gaps = []
     for _ in range(LOCK.ease_frames + 4):
-        shown, plain = glider.step(0.5, 0.1)
+        shown, plain = glider.step(0.5, 0.0)
         gaps.append(float(np.abs(shown - plain)[:, TOES][..., ::2].max()))
     assert gaps[0] > 1.0 and gaps[-1] < 1e-3
     assert np.abs(np.diff(gaps)).max() < 0.35 * gaps[0]

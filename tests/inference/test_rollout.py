@@ -15,7 +15,7 @@ from motionkit.inference import slip_correction
 from motionkit.inference.frame_kernel import blended_columns
 from motionkit.inference.noise import Noise
 from motionkit.inference.rollout import RolloutState
-from motionkit.metrics.foot_sliding import average_foot_sliding
+from motionkit.metrics.ground import average_foot_sliding
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.rotations import rotate_ground

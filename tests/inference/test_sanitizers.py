@@ -17,6 +17,7 @@ SOURCES = {
     "_step_kernel": ["inference/step_kernel.c"],
     "_attention_kernel": ["models/attention_kernel.c"],
     "_frame_kernel": ["inference/frame_kernel.c", "inference/foot_kernel.c"],
+    "_steering_kernel": ["control/steering_kernel.c"],
 }
 FLAGS = ["-O1", "-g", "-fopenmp-simd", "-Wno-psabi", "-shared", "-fPIC"]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]

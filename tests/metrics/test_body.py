@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motionkit.metrics.body import Body, body_of
+from motionkit.metrics.body import Body, bodies, body_of
 from motionkit.metrics.flight import JOINT_MASSES, centre_of_mass, flights
 from motionkit.metrics.pace import ground_velocity
 from motionkit.metrics.touch import TOUCH_HEIGHTS, touching
 from motionkit.motion.motion import resample
-from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
 from synthetic_motions import make_cartwheel, make_walk
 
 from .conftest import placed, swaying
 
 MEASURES = (
-    "velocity", "speed", "lifts", "foot_lead", "turned", "head_height", "ankle_height", "hand_heights",
+    "velocity", "speed", "lifts", "foot_ahead", "turned", "head_height", "ankle_height", "hand_heights",
     "arm_extension", "arm_ahead", "arm_thrust",
 )  # fmt: skip
 
@@ -29,6 +29,14 @@ def test_where_a_body_stands_and_faces_changes_no_measure(measure: str) -> None:
     here, there = (body_of(each) for each in (motion, placed(motion, 1.0, (300.0, 0.0, -200.0))))
     one, other = (each.poses() if measure == "poses" else getattr(each, measure) for each in (here, there))
     assert np.abs(one).max() > 0.01 and other == pytest.approx(one, abs=0.05)
+
+
+def test_every_body_has_rotations_and_places() -> None:
+    rotations, roots = np.zeros((2, 4, len(JOINT_NAMES), 4)), np.zeros((2, 4, 3))
+    rotations[..., 0] = 1.0
+    assert len(bodies(rotations, roots, canonical_skeleton(), 60.0)) == 2
+    with pytest.raises(ValueError, match="argument"):
+        bodies(rotations[:1], roots, canonical_skeleton(), 60.0)
 
 
 def test_half_the_rate_measures_the_same() -> None:

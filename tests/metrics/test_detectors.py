@@ -204,7 +204,7 @@ class Measured:
     """A body of which only the measures are known; those not given are of no motion at all."""
 
     fps = 60.0
-    flat = ("speed", "foot_lead", "head_height", "ankle_height")
+    flat = ("speed", "foot_ahead", "head_height", "ankle_height")
     pairs = ("velocity", "lifts", "hand_heights", "arm_extension", "arm_ahead", "arm_thrust")
 
     def __init__(self, **given: object) -> None:
@@ -234,7 +234,7 @@ def going(speed: float, ahead: float, swing: float = 30.0, flight: int = 0) -> M
     """Legs swing by 30 cm, at a speed in m/s and one ahead."""
     velocity = np.tile([0.0, ahead], (FRAMES, 1))
     lead = np.linspace(0.0, swing, FRAMES)
-    return Measured(speed=np.full(FRAMES, speed), velocity=velocity, foot_lead=lead, stride_flight=flight)
+    return Measured(speed=np.full(FRAMES, speed), velocity=velocity, foot_ahead=lead, stride_flight=flight)
 
 
 def between(outside: float, inside: float) -> Array:

@@ -7,8 +7,7 @@ import pytest
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.metrics.foot_sliding import average_foot_sliding
-from motionkit.metrics.ground import foot_skate_ratio, penetration
+from motionkit.metrics.ground import average_foot_sliding, foot_skate_ratio, penetration
 from motionkit.metrics.value import MetricSettings
 from motionkit.motion.floor import floor_height
 

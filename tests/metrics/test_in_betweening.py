@@ -13,8 +13,8 @@ from motionkit.metrics.in_betweening import (
     TRAINING,
     Scale,
     gap_errors,
-    held,
     interpolated,
+    last_pose,
     spectrum_distance,
     windows_of,
 )
@@ -47,7 +47,7 @@ def errors(motion: Motion, gap: int, fill) -> list[float | None]:
 def test_standing_still_is_off_by_the_way_and_interpolation_is_not(gap: int) -> None:
     """Places over 50 frames of equal steps have the deviation sqrt((50^2 - 1) / 12) steps."""
     way = np.sqrt(3) * np.arange(1, gap + 1).mean() / np.sqrt((50**2 - 1) / 12)
-    assert errors(moving(speed=4.0), gap, held) == pytest.approx([way, 0.0, 0.0], abs=1e-6)
+    assert errors(moving(speed=4.0), gap, last_pose) == pytest.approx([way, 0.0, 0.0], abs=1e-6)
     assert errors(moving(speed=4.0), gap, interpolated) == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
 
 
@@ -55,7 +55,7 @@ def test_standing_still_is_off_by_the_way_and_interpolation_is_not(gap: int) -> 
 def test_quaternions_of_a_turn_are_a_chord_apart(gap: int) -> None:
     turn = 0.04
     chords = 2.0 * np.sqrt(3) * np.sin(turn * np.arange(1, gap + 1) / 4)
-    assert errors(moving(turn=turn), gap, held)[1] == pytest.approx(chords.mean(), rel=1e-6)
+    assert errors(moving(turn=turn), gap, last_pose)[1] == pytest.approx(chords.mean(), rel=1e-6)
     assert errors(moving(turn=turn), gap, interpolated)[1] == pytest.approx(0.0, abs=1e-6)
 
 

@@ -106,7 +106,7 @@ def test_faults_are_one_line_without_a_traceback(
     bad.write_text("HIERARCHY\nROOT Hips\n{\n")
     for arguments, code, text in (
         ((files[0], str(bad)), 1, "bad.bvh:"),
-        ((files[0], files[1], "--skip", "70"), 1, "nothing to compare"),
+        ((files[0], files[1], "--skip", "70"), 1, "to measure, found"),
         ((files[0], str(tmp_path / "none.bvh")), 2, "does not exist"),
         ((files[0], str(tmp_path)), 2, "both be files or both be folders"),
     ):
@@ -166,7 +166,7 @@ def test_another_rig_is_mapped_and_said(files: tuple[str, str], tmp_path: Path) 
     write_bvh(path, type(motion)(thumb, rotations, motion.root_positions, 60.0))
     result = CliRunner().invoke(command, [files[0], path, "--json"])
     out = json.loads(result.stdout)
-    assert any("24 joints mapped onto the 23 canonical joints" in note for note in out["notes"])
+    assert "23 joints found by name" in out["taken"][1]
     rows = {row["id"]: row["value"] for row in out["metrics"]}
     assert rows["mpjpe"] == pytest.approx(0.0, abs=0.05)
     assert rows["ssim-window"] == pytest.approx(1.0, abs=1e-3)

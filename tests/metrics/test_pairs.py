@@ -107,14 +107,16 @@ def test_a_pair_that_cannot_be_measured_is_left_out_and_named(metrics, folders: 
     words = ("--pair", "truth/a.bvh", "made/a.BVH", "--pair", "truth/deep/b.bvh", "one.bvh")
     code, out, err = metrics(*words, "--pair", "truth/deep/b.bvh", "made/b.bvh", "--json")
     assert code == 1 and err.splitlines()[0].startswith("left out: truth/a.bvh")
-    assert "truth/deep/b.bvh and one.bvh: nothing to compare" in err.splitlines()[1]
+    assert "truth/deep/b.bvh and one.bvh: expected at least 2 frames" in err.splitlines()[1]
     assert ["error" in pair for pair in json.loads(out)["pairs"]] == [True, True, False]
 
 
 def test_a_file_of_one_frame_is_named(metrics, folders: Path) -> None:
     write_bvh(folders / "one.bvh", swaying(frames=1))
     code, out, err = metrics("one.bvh")
-    assert (code, out) == (1, "") and err.startswith("error: one.bvh: nothing to compare: 1 frames at 60 fps")
+    assert (code, out) == (1, "") and err.startswith(
+        "error: one.bvh: expected at least 2 frames at 60 fps to measure, found 1\n"
+    )
 
 
 def test_a_folder_of_every_ending_by_several_processes(metrics, folders: Path) -> None:

@@ -176,7 +176,7 @@ def test_given_frames_begin_the_ground_truth_alone(motion: Motion) -> None:
     assert report.notes == ("the first 87 frames of the ground truth were given to the model",)
     later = evaluate_motion(going_on, motion, skip=10, given=87)
     assert later.frames == 23 and later.value("mpjpe") == 0.0
-    with pytest.raises(MotionkitError, match="less the 0 skipped and the 119 given"):
+    with pytest.raises(MotionkitError, match="less the 119 given"):
         evaluate_motion(going_on, motion, given=119)
 
 
@@ -201,11 +201,9 @@ def test_numbers_are_plain(motion: Motion) -> None:
 
 
 def test_refusals(motion: Motion) -> None:
-    with pytest.raises(
-        MotionkitError, match="nothing to compare: 120 and 80 frames at 60 fps, less the 80 skipped"
-    ):
+    with pytest.raises(MotionkitError, match="to measure, found 120 and 80, less the 80 skipped"):
         evaluate_motion(motion.cut(0, 80), motion, skip=80)
-    with pytest.raises(MotionkitError, match="nothing to compare"):
+    with pytest.raises(MotionkitError, match="expected at least 2"):
         evaluate_motion(motion.cut(0, 1))
     with pytest.raises(MotionkitError, match="unknown metric 'fid'"):
         evaluate_motion(motion).value("fid")

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from motionkit.errors import MotionkitError
-from motionkit.metrics.position_error import mean_position_error
+from motionkit.metrics.prediction import mean_position_error
 from motionkit.metrics.similarity import joint_expmaps, structural_similarity
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_to_expmap
 
 from .conftest import placed, swaying
 
@@ -40,7 +41,12 @@ def test_equal_sequences_give_one(motion: Motion, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["window", "channel"])
-def test_matches_the_definition_written_with_loops(kind: str) -> None:
+@pytest.mark.parametrize("block", [500, 7])
+def test_matches_the_definition_written_with_loops(
+    kind: str, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether windows are compared all at once or by blocks."""
+    monkeypatch.setattr("motionkit.metrics.similarity._BLOCK", block)
     draw = np.random.default_rng(1)
     a, b = draw.standard_normal((2, 30, 5), np.float64)
     expected = naive_ssim(a, b, kind == "channel")
@@ -58,6 +64,11 @@ def test_falls_as_motions_part(motion: Motion) -> None:
 def test_place_and_heading_do_not_matter(motion: Motion) -> None:
     turned = placed(motion, yaw=2.5, move=(300.0, 0.0, 10.0))
     assert joint_expmaps(turned) == pytest.approx(joint_expmaps(motion), abs=1e-6)
+
+
+def test_every_joint_has_its_columns(motion: Motion) -> None:
+    below = quat_to_expmap(motion.local_rotations[:, 1:].astype(np.float64)).reshape(len(motion), -1)
+    assert joint_expmaps(motion)[:, 3:] == pytest.approx(below, abs=1e-12)
 
 
 def test_twelve_frames_are_enough_and_eleven_are_refused(motion: Motion) -> None:

@@ -28,8 +28,9 @@ def test_other_rates_are_brought_over_without_corners(fps: float) -> None:
     assert mean_jerk(polynomial(fps, 3), fps).value == pytest.approx(6.0, rel=1e-5)
 
 
-def test_whole_ratios_take_the_frames_themselves() -> None:
-    positions = np.random.default_rng(0).standard_normal((41, 2, 3), np.float64)
+@pytest.mark.parametrize("frames", [4, 41])
+def test_whole_ratios_take_the_frames_themselves(frames: int) -> None:
+    positions = np.random.default_rng(0).standard_normal((frames, 2, 3), np.float64)
     assert positions_at_rate(positions, 120.0, 60.0) == pytest.approx(positions[::2], abs=1e-12)
     assert positions_at_rate(positions, 60.0, 60.0) is positions
 

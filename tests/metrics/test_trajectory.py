@@ -86,7 +86,7 @@ def test_a_path_that_is_one_point() -> None:
         assert (result.mean, result.coverage) == (5.0, 1.0)
 
 
-@pytest.mark.parametrize("points", [2, 64, 65, 66, 129, 1000])
+@pytest.mark.parametrize("points", [2, 4, 5, 6, 17, 65, 66, 1000])
 def test_long_paths_equal_the_plain_search(points: int) -> None:
     draw = np.random.default_rng(points)
     path = draw.standard_normal((points, 2), np.float64).cumsum(0)
@@ -98,11 +98,33 @@ def test_long_paths_equal_the_plain_search(points: int) -> None:
     assert distance_to_path(track, path) == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("points", [2, 63, 64, 65, 66, 128, 129, 130])
+@pytest.mark.parametrize("points", [2, 3, 4, 5, 6, 16, 17, 18, 65, 130])
 def test_every_segment_of_a_path_is_looked_at(points: int) -> None:
     """Its middle is on it, and far from all else."""
     path = np.random.default_rng(points).uniform(-1e4, 1e4, (points, 2))
     assert distance_to_path(0.5 * (path[1:] + path[:-1]), path) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("radius", [0.1, 200.0])
+def test_laps_over_the_same_ground_cost_what_a_long_way_does(
+    monkeypatch: pytest.MonkeyPatch, radius: float
+) -> None:
+    looked_at = 0
+    plain = module._length
+
+    def length(vectors: Array) -> Array:
+        nonlocal looked_at
+        looked_at += len(vectors)
+        return plain(vectors)
+
+    monkeypatch.setattr(module, "_length", length)
+    counts = []
+    for laps in (10, 40):
+        looked_at, away = 0, np.random.default_rng(laps).normal(1.0, 0.05, (2, laps, 1, 1))
+        track, path = (circle(radius, points=100) * away).reshape(2, -1, 2)
+        distance_to_path(track, path)
+        counts.append(looked_at)
+    assert counts[1] < 8 * counts[0]
 
 
 def test_turning_and_moving_both_changes_nothing() -> None:

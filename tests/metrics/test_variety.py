@@ -9,6 +9,8 @@ from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.variety import (
     POSE_RATE,
+    STRAY,
+    Places,
     RecordingWindows,
     drawn_share,
     loop_seconds,
@@ -44,6 +46,8 @@ def test_a_replay_is_found_with_its_length() -> None:
     assert places.longest_stretch() == pytest.approx(5.0)
     lengths = np.array([10.0, 8.0, 6.0])
     assert drawn_share([places], lengths) == pytest.approx(8.0 / 24.0)
+    moved = replay.reshape(-1, 23, 3) + np.array([3.0, 4.0, 0.0])
+    assert windows.places(moved.reshape(-1, 69)).distances == pytest.approx(5.0, abs=1e-3)
     mixed = np.concatenate([recordings[0][:60], recordings[2][:40]])
     assert windows.places(mixed).longest_stretch() == pytest.approx(3.0, abs=0.26)
     assert drawn_share([places, windows.places(mixed)], lengths) == 1.0
@@ -56,6 +60,13 @@ def test_what_is_shown_again_after_a_while_counts_as_replayed(first: int, again:
     windows = RecordingWindows([[recording]])
     shown = np.concatenate([recording[:first], recording[:again]])
     assert windows.places(shown).replayed() == pytest.approx(share, abs=0.03)
+
+
+@pytest.mark.parametrize(("astray", "again"), [(STRAY, True), (-STRAY, True), (STRAY + 1, False)])
+def test_a_place_may_be_shown_again_a_little_astray(astray: int, again: bool) -> None:
+    tracks, poses = np.zeros(30, np.int64), 100 * np.arange(30)
+    poses[29] = poses[0] + astray
+    assert (Places(tracks, tracks, poses, 0.0 * poses).replayed() > 0.0) == again
 
 
 def test_a_recording_can_be_left_out_and_have_a_mirrored_track() -> None:

@@ -7,12 +7,12 @@ from motionkit.errors import ModelError
 from motionkit.features.control import CONTROL_KINDS, ControlLayout
 from motionkit.features.layout import feature_layout
 from motionkit.models.config import ModelConfig
-from motionkit.models.consistency import ConsistencyModules, feature_difference, safe_norm, shared_data
 from motionkit.models.layers import sinusoidal_positions, spatial_dropout
 from motionkit.models.network import PartTransformer, parameter_count, part_columns
 from motionkit.models.parts import PARTITIONS, partition
 from motionkit.models.presets import PRESETS, preset
 from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.training.losses import ConsistencyModules, feature_difference, safe_norm, shared_data
 
 
 def reach(network, inputs, frame: int) -> torch.Tensor:

@@ -295,7 +295,7 @@ def test_plans_name_the_types_ahead(paper_model: MotionModel) -> None:
 def test_a_model_with_other_controls_is_no_start(paper_model: MotionModel, dataset: Dataset) -> None:
     from motionkit.models.architectures import build
     from motionkit.models.presets import preset
-    from motionkit.training.warm_start import warm_start
+    from motionkit.training.initial_network import warm_start
 
     network = build(preset("tiny"), ControlLayout(dataset.types).size)
     with pytest.raises(ModelError, match="other control signals"):

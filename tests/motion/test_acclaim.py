@@ -23,7 +23,7 @@ from synthetic_motions import make_walk
 def read(path: Path, **manner: object) -> tuple[Motion, list[str]]:
     """A file's motion, and what was told of it."""
     told: list[str] = []
-    with reading(hear=told.append, **manner):
+    with reading(on_note=told.append, **manner):
         return bvh_to_motion(read_file(path)), told
 
 

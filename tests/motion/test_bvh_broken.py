@@ -188,7 +188,7 @@ def test_random_damage_never_surprises(tmp_path: Path, good_text: str) -> None:
             data[at : at + length] = scrap if chance.random() < 0.7 else b""
         path.write_bytes(data)
         try:
-            with reading(strict=chance.random() < 0.5, hear=lambda note: None):
+            with reading(strict=chance.random() < 0.5, on_note=lambda note: None):
                 motion = bvh_to_motion(read_bvh(path))
         except BvhError as fault:
             assert "\n" not in str(fault)

@@ -10,7 +10,6 @@ import pytest
 
 from motionkit.errors import BvhError
 from motionkit.motion.bvh import BvhFile, read_bvh
-from motionkit.motion.bvh_text import read_hierarchy
 from motionkit.reading import reading
 
 FRAME = "Frame Time: 0.008333333\n"
@@ -86,7 +85,7 @@ SETTLED = {
 
 def read_noting(path: Path) -> tuple[BvhFile, list[str]]:
     heard: list[str] = []
-    with reading(hear=heard.append):
+    with reading(on_note=heard.append):
         return read_bvh(path), heard
 
 
@@ -103,8 +102,8 @@ def test_settled_and_noted_or_refused(tmp_path: Path, broken_folder: Path, good_
         np.testing.assert_allclose(bvh.values, good.values[:frames], atol=1e-9)
     else:
         assert not bvh.values.any()
-    hierarchy = read_hierarchy(path)
-    assert hierarchy is None or hierarchy.split() == read_hierarchy(broken_folder / "good.bvh").split()
+    hierarchy = bvh.hierarchy
+    assert hierarchy is None or hierarchy.split() == good.hierarchy.split()
     with pytest.raises(BvhError), reading(strict=True):
         read_bvh(path)
 

@@ -18,7 +18,7 @@ from motionkit.motion.rotations import expmap_to_quat, quat_multiply, quat_to_ex
 from motionkit.motion.smpl import smpl_skeleton
 from motionkit.reading import reading
 from motionkit.rig.retarget import retarget_file
-from motionkit.rig.upright import taken
+from motionkit.rig.upright import describe_motion
 from synthetic_motions import make_walk
 from synthetic_rigs import FAMILIES, renamed, walk
 
@@ -54,13 +54,13 @@ def test_poses_of_smpl(tmp_path: Path, joints: int, z_up: bool, kind: str, left:
     arrays = amass(joints=joints, z_up=z_up)
     np.savez(tmp_path / "a.npz", **arrays)
     told: list[str] = []
-    with reading(hear=told.append):
+    with reading(on_note=told.append):
         motion = read_motion(tmp_path / "a.npz")
         made, report = retarget_file(tmp_path / "a.npz")
     assert told == [f"a.npz: read with poses of {kind} on its mean body; {left} left out"] * 2
     up = "+Z up, and stays so in BVH" if z_up else "+Y up"
     assert (
-        taken(motion)
+        describe_motion(motion)
         == f"40 frames at 60 fps; unit: detected from leg length: metres; {up}; 22 joints found by name (no Neck1)"
     )
     assert len(motion.skeleton) == (24 if joints == 24 else 22) and motion.fps == 60.0
@@ -77,7 +77,7 @@ def test_zero_poses_are_the_rest_pose_and_the_halves_of_a_pose_are_read(tmp_path
     np.savez(tmp_path / "zero.npz", poses=np.zeros((5, 72)), trans=places)
     np.savez(tmp_path / "whole.npz", poses=turns, trans=places, mocap_frame_rate=np.array([50]))
     np.savez(tmp_path / "parts.npz", root_orient=turns[:, :3], pose_body=turns[:, 3:], trans=places, fps=50)
-    with reading(hear=(told := []).append):  # type: ignore[attr-defined]
+    with reading(on_note=(told := []).append):  # type: ignore[attr-defined]
         zero, whole, parts = (read_motion(tmp_path / f"{name}.npz") for name in ("zero", "whole", "parts"))
     assert zero.fps == 30.0 and "30 frames a second, because" in told[0]
     rest = smpl_skeleton(hands=True)
@@ -106,7 +106,7 @@ def test_values_without_a_number_are_filled_as_in_other_files(tmp_path: Path) ->
     arrays["poses"][7, 3:9] = arrays["trans"][9, 1] = np.nan
     np.savez(tmp_path / "holes.npz", **arrays)
     notes: list[str] = []
-    with reading(hear=notes.append):
+    with reading(on_note=notes.append):
         whole, holes = (read_motion(tmp_path / f"{name}.npz") for name in ("whole", "holes"))
     assert "7 values without a number filled from neighbouring frames" in notes[-1]
     assert np.abs(motion_kinematics(holes)[1] - motion_kinematics(whole)[1]).max() < 0.05, "metres"
@@ -123,7 +123,7 @@ def test_values_without_a_number_of_own_archives_are_filled(tmp_path: Path) -> N
     arrays["local_rotations"][7, 5, 2] = arrays["root_positions"][3, 1] = np.nan
     np.savez(tmp_path / "holes.npz", **arrays)
     notes: list[str] = []
-    with reading(hear=notes.append):
+    with reading(on_note=notes.append):
         holes = read_motion(tmp_path / "holes.npz")
     assert notes == ["holes.npz: read with 5 values without a number filled from neighbouring frames"]
     assert np.abs(motion_kinematics(holes)[1] - motion_kinematics(walked)[1]).max() < 2.0

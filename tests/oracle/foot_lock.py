@@ -97,7 +97,7 @@ class _Lock:
         out = np.empty_like(toes)
         out[..., ::2] = plants.shift
         wave = np.sin(np.float32(np.pi) * rest[..., 0])
-        out[..., 1] = plants.lift + plants.step * wave * wave
+        out[..., 1] = plants.lift + plants.step * wave
         return out
 
     def _changes(

@@ -237,4 +237,4 @@ def test_the_operator_says_where_nothing_listens(addon: ModuleType, monkeypatch:
 
 
 def test_the_length_of_canonical_legs(addon: ModuleType) -> None:
-    assert addon.LEG == pytest.approx(leg_length(canonical_skeleton()), abs=0.01)
+    assert addon.LEG == pytest.approx(leg_length(canonical_skeleton()) / 100.0, abs=0.0001)

@@ -266,12 +266,12 @@ def test_buttons_show_types_once_a_press_and_record(page: Page, pad: Callable[..
     assert seconds[shown[0]] > 0, "performances come first"
     page.wait_for_function("!motionkit.own.now.performing", timeout=PATIENCE)
     pad(buttons=[9])
-    page.wait_for_function("motionkit.told.get(motionkit.chosen).recording", timeout=PATIENCE)
+    page.wait_for_function("motionkit.facts.get(motionkit.chosen).recording", timeout=PATIENCE)
     pad()
     wait_frames(page, 10)
     with page.expect_download(timeout=PATIENCE):
         pad(buttons=[9])
-        page.wait_for_function("!motionkit.told.get(motionkit.chosen).recording", timeout=PATIENCE)
+        page.wait_for_function("!motionkit.facts.get(motionkit.chosen).recording", timeout=PATIENCE)
     pad(buttons=[4, 6, 8, 10, 16])
     wait_frames(page, 10)
     asked = [what for what, _ in page.evaluate("asked")]
@@ -357,7 +357,7 @@ def test_the_cartwheel_key_brings_the_head_below_the_hips(page: Page) -> None:
           motionkit.link.listeners.frame = (one, at) => {
             const now = one.characters.get(motionkit.chosen);
             if (now) spare.set(own.rig, now.rotations, 0, now.root.map((v) => v / 100), 0);
-            motionkit.lowest = Math.min(motionkit.lowest, spare.places[14 * 3 + 1] - spare.places[1]);
+            motionkit.lowest = Math.min(motionkit.lowest, spare.places[14].y - spare.places[0].y);
             frame(one, at);
           };
         }"""
@@ -408,7 +408,7 @@ def test_a_drawn_path_is_followed(page: Page) -> None:
 
 def test_a_recording_is_downloaded_and_is_a_motion(page: Page, tmp_path: Path) -> None:
     page.keyboard.press("o")
-    page.wait_for_function("motionkit.told.get(motionkit.chosen).recording", timeout=PATIENCE)
+    page.wait_for_function("motionkit.facts.get(motionkit.chosen).recording", timeout=PATIENCE)
     wait_frames(page, 45)
     with page.expect_download(timeout=PATIENCE) as download:
         page.keyboard.press("o")
@@ -478,7 +478,7 @@ def test_characters_bodies_and_noise(page: Page) -> None:
         f"motionkit.characters.get({second})?.body === {json.dumps(name)}", timeout=PATIENCE
     )
     page.get_by_label("Noise").fill("0.8")
-    page.wait_for_function(f"motionkit.told.get({second}).temperature === 0.8", timeout=PATIENCE)
+    page.wait_for_function(f"motionkit.facts.get({second}).temperature === 0.8", timeout=PATIENCE)
     page.get_by_role("button", name=f"Remove character {second}").dispatch_event("click")
     page.wait_for_function(
         f"motionkit.chosen === {first} && motionkit.characters.size === 1", timeout=PATIENCE

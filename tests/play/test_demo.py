@@ -154,6 +154,7 @@ IN_THE_PAGE = """([noise, states, asked]) => {
   let [at, from] = [0, 0];
   const one = new body.constructor(world.kernel, 19, (out) => out.set(numbers.subarray(at, (at += out.length))));
   one.start([0, 0, 0]);
+  one.soles.counts.fill(0n); // numpy knows none
   for (const controls of asked) {
     for (const values of [one.x, one.before, one.contacts, one.place]) values.set(led.subarray(from, (from += values.length)));
     one.step(controls);
@@ -453,7 +454,7 @@ def test_who_is_removed_while_recording_leaves_its_file(visit: Callable[..., Pag
     page.evaluate("motionkit.add()")
     page.wait_for_function("motionkit.mine.length === 2", timeout=PATIENCE)
     page.evaluate("motionkit.record()")
-    page.wait_for_function("motionkit.told.get(motionkit.chosen).recording", timeout=PATIENCE)
+    page.wait_for_function("motionkit.facts.get(motionkit.chosen).recording", timeout=PATIENCE)
     wait_frames(page, 30)
     began = page.evaluate("motionkit.recordedFrom")
     chosen = page.evaluate("motionkit.chosen")

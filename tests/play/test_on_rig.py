@@ -16,7 +16,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
-from motionkit.play.frames import Shown
+from motionkit.play.frames import CharacterState
 from motionkit.play.on_rig import LiveRig, with_rig
 from motionkit.play.recording import file_bytes
 from motionkit.play.requests import parse_request
@@ -58,7 +58,7 @@ def test_a_pose_is_on_the_joints_of_the_rig(tiny_model: MotionModel, rig: Rig) -
     live = LiveRig(rig)
     for _ in range(3):
         (one,) = session.step().characters
-    joints = live.told()["joints"]
+    joints = live.as_dict()["joints"]
     assert joints == list(rig.skeleton.names) and len(live.pose(one)["rotations"]) == len(joints)
     places = world(rig, live.pose(one)) * rig.scale
     for name in ("LeftLeg", "RightArm", "Head", *FEET):
@@ -105,11 +105,13 @@ def test_feet_stand_on_the_floor_wherever_the_hips_joint_is(tiny_model: MotionMo
         assert np.allclose(lifted, live._lift, atol=0.02), name
 
 
-def at_frame(motion: Motion, frame: int) -> Shown:
+def at_frame(motion: Motion, frame: int) -> CharacterState:
     """A live character in the pose of a frame."""
     rotations, places = motion.local_rotations[frame], motion_kinematics(motion)[1][frame]
     nothing = np.zeros(4, np.float32)
-    return Shown(1, 0, 0, False, False, False, nothing, 0.0, motion.root_positions[frame], rotations, places)
+    return CharacterState(
+        1, 0, 0, False, False, False, nothing, 0.0, motion.root_positions[frame], rotations, places
+    )
 
 
 def test_json_frames_have_the_rig(

@@ -130,4 +130,4 @@ def test_a_rate_limit_lets_through_its_rate_and_one_second_at_once() -> None:
 
 
 def test_limits_are_told_in_full() -> None:
-    assert Limits().told()["clients"] == 16 and Limits().told()["record_seconds"] == 300.0
+    assert Limits().as_dict()["clients"] == 16 and Limits().as_dict()["record_seconds"] == 300.0

@@ -13,7 +13,7 @@ import pytest
 from motionkit.arrays import Array
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
-from motionkit.play.frames import Shown
+from motionkit.play.frames import CharacterState
 from motionkit.play.vmc import VmcBody, osc_bundles, osc_message
 from motionkit.rig.standing_pose import standing_turns
 from play.conftest import PATIENCE
@@ -67,13 +67,15 @@ def read_osc(data: bytes) -> Iterator[tuple[str, list]]:
     yield address, arguments
 
 
-def shown(skeleton: Skeleton, rotations: Array, root: list[float], heading: float) -> Shown:
+def shown(skeleton: Skeleton, rotations: Array, root: list[float], heading: float) -> CharacterState:
     nothing = np.zeros((23, 3), np.float32)
     place = np.array(root, np.float32)
-    return Shown(1, 0, 0, False, None, False, np.zeros(4, np.float32), heading, place, rotations, nothing)
+    return CharacterState(
+        1, 0, 0, False, None, False, np.zeros(4, np.float32), heading, place, rotations, nothing
+    )
 
 
-def read_pose(body: VmcBody, frame: Shown) -> dict[str, list[float]]:
+def read_pose(body: VmcBody, frame: CharacterState) -> dict[str, list[float]]:
     out = {}
     for bundle in osc_bundles(body.messages(frame, 1.5)):
         for address, arguments in read_osc(bundle):

@@ -57,7 +57,7 @@ def test_read_once_by_what_is_there(programs: Path, clip: Path, name: str, said:
     """As a clip and as a rig, whose character then is a .glb; the program runs once for both."""
     put(programs, name)
     told: list[str] = []
-    with reading(hear=told.append):
+    with reading(on_note=told.append):
         motion, rig = read_motion(clip), read_rig(clip)
     assert told == [f"walk.fbx: read with {said}"]
     assert np.abs(motion_kinematics(motion)[1] - motion_kinematics(make_walk(30))[1]).max() < 0.01
@@ -70,7 +70,7 @@ def test_the_next_one_if_one_fails(programs: Path, clip: Path) -> None:
         read_motion(clip)
     put(programs, "blender")
     told: list[str] = []
-    with reading(hear=told.append):
+    with reading(on_note=told.append):
         assert len(read_motion(clip)) == 30 and told == ["walk.fbx: read with Blender"]
 
 
@@ -90,7 +90,7 @@ def test_faults_are_one_line(
     monkeypatch.setattr(fbx, "SECONDS", 1.0 if before and "sleep" in before else 30.0)
     if before is not None:
         put(programs, "FBX2glTF", before)
-    with reading(hear=lambda note: None), pytest.raises(MotionkitError) as told:
+    with reading(on_note=lambda note: None), pytest.raises(MotionkitError) as told:
         read_motion(clip)
     assert said in str(told.value) and str(told.value).startswith(f"{clip}: ") and "\n" not in str(told.value)
 

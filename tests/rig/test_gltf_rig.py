@@ -217,7 +217,7 @@ def test_a_mesh_that_will_not_move_is_told(tmp_path: Path, told: bool) -> None:
     if told:
         del body["skin"]
     write_glb(tmp_path / "my.glb", value)
-    with reading(hear=notes.append):
+    with reading(on_note=notes.append):
         read_rig(tmp_path / "my.glb")
     assert any("will not move" in note for note in notes) == told
 

@@ -6,6 +6,7 @@ import json
 import struct
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,13 @@ import pytest
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.export.formats import read_motion, write_motion
+from motionkit.export.formats import read_clip, read_motion, write_motion
 from motionkit.motion.bvh import read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_angle
 from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
 from motionkit.reading import reading
 from motionkit.rig.on_rig import read_rig
-from motionkit.rig.read_glb import read_glb
 from motionkit.rig.retarget import retarget_file
 from rig.test_character import write
 from rig.test_gltf_rig import character
@@ -107,7 +107,7 @@ def spline(maker: Maker) -> int:
 def test_accessors_of_every_kind(tmp_path: Path, output: Callable[[Maker], int]) -> None:
     maker = Maker()
     maker.clip("turn", output(maker), "CUBICSPLINE" if output is spline else "LINEAR")
-    motion = read_glb(maker.write(tmp_path / "a.glb"))
+    motion = read_motion(maker.write(tmp_path / "a.glb"))
     arm = motion.skeleton.names.index("LeftArm")
     assert (len(motion), motion.fps) == (3, 2.0)
     for frame in range(3):
@@ -127,8 +127,8 @@ def test_keys_without_a_number_are_filled(tmp_path: Path, how: str) -> None:
     maker = Maker()
     maker.clip("turn", maker.floats(spline if how == "CUBICSPLINE" else turns, "VEC4"), how)
     path, notes = maker.write(tmp_path / "a.glb"), list[str]()
-    with reading(hear=notes.append):
-        motion = read_glb(path)
+    with reading(on_note=notes.append):
+        motion = read_motion(path)
     filled = 1 if how == "CUBICSPLINE" else 4  # or the quaternion as a whole
     words = "value" if filled == 1 else "values"
     assert notes == [f"a.glb: read with {filled} {words} without a number filled from neighbouring frames"]
@@ -136,7 +136,7 @@ def test_keys_without_a_number_are_filled(tmp_path: Path, how: str) -> None:
     wanted = [[HALF, 0, HALF, 0], [1, 0, 0, 0]][how == "LINEAR"]
     assert float(quat_angle(motion.local_rotations[1, arm], np.float32(wanted))) < 1e-3
     with reading(strict=True), pytest.raises(MotionkitError, match="not finite"):
-        read_glb(path)
+        read_motion(path)
 
 
 def test_which_animation_is_never_guessed(tmp_path: Path) -> None:
@@ -145,12 +145,12 @@ def test_which_animation_is_never_guessed(tmp_path: Path) -> None:
         maker.clip(name, plain(maker), times=TIMES * (1 + (name == "point")))
     path = maker.write(tmp_path / "a.glb")
     with pytest.raises(MotionkitError, match=r"2 animations.*--clip: wave \(1\.00 s\), point \(2\.00 s\)"):
-        read_glb(path)
+        read_motion(path)
     with pytest.raises(MotionkitError, match="no animation called jump; it has: wave"):
-        read_glb(path, "jump")
-    assert len(read_glb(path, "point")) == 3
+        read_clip(path, "jump")
+    assert len(read_clip(path, "point").motion) == 3
     with reading(animation="point"):
-        assert read_glb(path).seconds == pytest.approx(3.0)
+        assert read_motion(path).seconds == pytest.approx(3.0)
         assert retarget_file(path)[0].seconds == pytest.approx(3.0)
 
 
@@ -165,7 +165,7 @@ def test_nodes_above_the_skeleton_carry_it(tmp_path: Path) -> None:
         animation["channels"].append(
             {"sampler": len(animation["samplers"]) - 1, "target": {"node": 1, "path": path}}
         )
-    motion = read_glb(maker.write(tmp_path / "a.glb"))
+    motion = read_motion(maker.write(tmp_path / "a.glb"))
     places, rest = motion_kinematics(motion)[1], motion_kinematics(motion.cut(0, 1))[1][0]
     feet = [motion.skeleton.names.index(name) for name in ("LeftFoot", "RightFoot")]
     assert places[2, feet] == pytest.approx(rest[feet] + np.float32([0, 0, 400]), abs=0.01)
@@ -181,7 +181,7 @@ def test_names_are_cleaned_once_for_every_reader(tmp_path: Path) -> None:
         node["name"] = name
     maker.clip("turn", plain(maker))
     path = maker.write(tmp_path / "a.glb")
-    found = read_glb(path).skeleton.names
+    found = read_motion(path).skeleton.names
     assert len(set(found)) == len(found) and all(name.isprintable() for name in found)
     assert (
         not any(letter in name for name in found for letter in " {}\n\x1b\u202e")
@@ -191,11 +191,23 @@ def test_names_are_cleaned_once_for_every_reader(tmp_path: Path) -> None:
     assert read_bvh(tmp_path / "a.bvh").skeleton.names == found
 
 
+@pytest.mark.parametrize(("stretched", "refused"), [(1, False), (1000, True)])
+def test_a_few_keys_are_no_long_animation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stretched: int, refused: bool
+) -> None:
+    maker = Maker()
+    maker.clip("some", plain(maker), times=TIMES * np.float32(stretched))
+    monkeypatch.setattr("motionkit.rig.read_glb.MOST_POSES", 1)
+    expected = pytest.raises(MotionkitError, match=r"between \d+ keys, expected at most 0 frames")
+    with expected if refused else nullcontext():
+        read_motion(maker.write(tmp_path / "a.glb"))
+
+
 def test_long_animations_and_large_trees_are_refused_or_quick(tmp_path: Path) -> None:
     maker = Maker()
     maker.clip("long", plain(maker), times=TIMES * np.float32(8333))
     with pytest.raises(MotionkitError, match="lasts 8,333 s, expected at most 3,600"):
-        read_glb(maker.write(tmp_path / "a.glb"))
+        read_motion(maker.write(tmp_path / "a.glb"))
     start = time.perf_counter()
     chain = [{"name": "same", "children": [node + 1]} for node in range(15_000)] + [{"name": "same"}]
     write(tmp_path / "b.glb", {"nodes": chain, "skins": [{"joints": [0, 15_000]}]})

@@ -15,7 +15,6 @@ from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.finish.on_rig import on_rig
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh, write_bvh
-from motionkit.motion.bvh_text import read_hierarchy
 from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -246,7 +245,7 @@ def test_the_hierarchy_is_the_files_own(tmp_path: Path) -> None:
     assert before == after and "Bip01 L Thigh" in after
     out, own = read_bvh(tmp_path / "out.bvh"), read_bvh(tmp_path / "my rig.bvh")
     assert out.channels == own.channels and out.fps == 60.0
-    assert read_hierarchy(tmp_path / "out.bvh") == read_hierarchy(tmp_path / "my rig.bvh")
+    assert read_bvh(tmp_path / "out.bvh").hierarchy == read_bvh(tmp_path / "my rig.bvh").hierarchy
 
 
 def test_other_joints_stay_at_rest_or_move_as_in_a_clip(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
 from motionkit.rig.mirror import mirror_motion
 from motionkit.rig.names import map_rig
-from motionkit.rig.shape import limbs_by_shape, twins_by_shape
+from motionkit.rig.shape import limbs_by_shape, opposites_by_shape
 from motionkit.rig.sides import joint_sides
 from synthetic_rigs import FAMILIES, renamed, walk
 
@@ -198,7 +198,7 @@ def test_eyes_and_fingers_are_twins_too() -> None:
     plain = Skeleton(
         tuple(f"n{j}" for j in range(len(names))), tuple(parents), np.stack(offsets), source.end_sites
     )
-    twins = twins_by_shape(plain)
+    twins = opposites_by_shape(plain)
     assert twins is not None
     found = {names[a]: names[b] for a, b in enumerate(twins)}
     assert (found["eye1.0"], found["fingerLeft3.0"]) == ("eye-1.0", "fingerRight3.0")

@@ -50,11 +50,14 @@ def test_seeds_are_beginnings_of_training_stretches_of_the_type(dataset: Dataset
 def test_standing_has_stances_that_are_unlike(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     """As many as there are of the beginnings of three stretches, not only those nearest to the usual pose."""
     monkeypatch.setattr(bundle, "STANCE_SHARE", 1.0)
-    nearest, all_of_them = start_poses_of(dataset, "walking"), start_poses_of(dataset, "walking", stands=True)
+    nearest, all_of_them = (
+        start_poses_of(dataset, "walking"),
+        start_poses_of(dataset, "walking", standing=True),
+    )
     assert len(nearest) == STARTS_PER_TYPE < len(all_of_them) <= STANCES
     assert np.array_equal(nearest[0].features, all_of_them[0].features)
     monkeypatch.setattr(bundle, "STANCES", 2)
-    first, far = start_poses_of(dataset, "walking", stands=True)
+    first, far = start_poses_of(dataset, "walking", standing=True)
     assert np.array_equal(first.features, nearest[0].features)
     assert not any(np.array_equal(far.features, one.features) for one in nearest[:2])
 
@@ -65,7 +68,7 @@ def test_where_there_are_enough_recordings_a_mirror_image_is_no_other_stance(
     monkeypatch.setattr(bundle, "STANCE_SHARE", 1.0)
 
     def recordings() -> list[int]:
-        starts = start_poses_of(dataset, "walking", stands=True)
+        starts = start_poses_of(dataset, "walking", standing=True)
         return [
             clip.start
             for one in starts

@@ -15,37 +15,37 @@ from motionkit.models.checkpoint import load_model, save_model
 from motionkit.models.model import MotionModel
 from motionkit.training import calibration
 from motionkit.training.calibration import (
-    Manner,
+    Movement,
     calibrated_gains,
     calibrated_noise,
-    made_manners,
-    manner_of,
-    recorded_manners,
+    made_movements,
+    movement_of,
+    recorded_movements,
     with_presets,
 )
 from motionkit.training.trainer import train
 from synthetic_motions import make_walk
 
-RECORDED = Manner(2.0, 50.0, 0.5, 0.1)
+RECORDED = Movement(2.0, 50.0, 0.5, 0.1)
 
 
 @pytest.mark.parametrize(
     ("made", "cost"),
     [
-        (Manner(2.0, 50.0, 0.5, 0.1), 0.0),
-        (Manner(2.0, 10.0, 0.5, 0.1), 0.0),  # smoother is no fault
-        (Manner(2.0, 60.0, 0.5, 0.1), 0.0),
-        (Manner(2.0, 65.0, 0.5, 0.1), 0.25 * math.log(65.0 / 60.0)),  # more than 1.2 times the jerk
-        (Manner(2.0, 120.0, 0.5, 0.1), 0.25 * math.log(2.0) + math.log(2.4 / 1.4)),
-        (Manner(1.0, 50.0, 0.5, 0.1), math.log(2.0)),
-        (Manner(2.0, 50.0, 0.5, 0.0), 0.0),
-        (Manner(2.0, 50.0, 0.5, 0.12), 0.0),
-        (Manner(2.0, 50.0, 0.5, 0.29), math.log(2.0)),
-        (Manner(4.0, 50.0, 0.5, 0.1), math.log(2.0)),  # too fast is as bad as too slow
-        (Manner(1.0, 120.0, 0.1, 0.1), 1.25 * math.log(2.0) + math.log(2.4 / 1.4) + math.log(5.5 / 1.5)),
+        (Movement(2.0, 50.0, 0.5, 0.1), 0.0),
+        (Movement(2.0, 10.0, 0.5, 0.1), 0.0),  # smoother is no fault
+        (Movement(2.0, 60.0, 0.5, 0.1), 0.0),
+        (Movement(2.0, 65.0, 0.5, 0.1), 0.25 * math.log(65.0 / 60.0)),  # more than 1.2 times the jerk
+        (Movement(2.0, 120.0, 0.5, 0.1), 0.25 * math.log(2.0) + math.log(2.4 / 1.4)),
+        (Movement(1.0, 50.0, 0.5, 0.1), math.log(2.0)),
+        (Movement(2.0, 50.0, 0.5, 0.0), 0.0),
+        (Movement(2.0, 50.0, 0.5, 0.12), 0.0),
+        (Movement(2.0, 50.0, 0.5, 0.29), math.log(2.0)),
+        (Movement(4.0, 50.0, 0.5, 0.1), math.log(2.0)),  # too fast is as bad as too slow
+        (Movement(1.0, 120.0, 0.1, 0.1), 1.25 * math.log(2.0) + math.log(2.4 / 1.4) + math.log(5.5 / 1.5)),
     ],
 )
-def test_the_cost_of_a_manner(made: Manner, cost: float) -> None:
+def test_the_cost_of_a_manner(made: Movement, cost: float) -> None:
     assert made.cost(RECORDED) == pytest.approx(cost)
 
 
@@ -64,11 +64,11 @@ def test_the_gain_nearest_to_one_that_is_nearly_the_best(costs: tuple[float, ...
 
 def test_the_manner_of_a_motion() -> None:
     walk = make_walk(120)
-    found, faster = manner_of(walk), manner_of(replace(walk, fps=2.0 * walk.fps))
+    found, faster = movement_of(walk), movement_of(replace(walk, fps=2.0 * walk.fps))
     assert 0.1 < found.planted <= 1.0 and found.speed > 0.1
     assert faster.speed == pytest.approx(2.0 * found.speed) and faster.jerk == pytest.approx(8.0 * found.jerk)
     lifted = replace(walk, root_positions=walk.root_positions + np.float32([0.0, 50.0, 0.0]))
-    assert manner_of(lifted).planted == 0.0 < 0.9 < manner_of(lifted).hovering
+    assert movement_of(lifted).planted == 0.0 < 0.9 < movement_of(lifted).hovering
 
 
 def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
@@ -76,13 +76,13 @@ def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
 ) -> None:
     """Roll-outs whose speed is half of the recorded one times their gain, and that are planted as long."""
     kinds = list(tiny_model.types)
-    recorded = recorded_manners(dataset, kinds)
+    recorded = recorded_movements(dataset, kinds)
     assert recorded["running"].speed > recorded["walking"].speed > 2.0 * recorded["idle"].speed
     assert recorded["running"].planted < recorded["walking"].planted
 
-    def made(model: MotionModel, moved: list[str], frames: int, repeats: int) -> dict[str, Manner]:
+    def made(model: MotionModel, moved: list[str], frames: int) -> dict[str, Movement]:
         return {
-            kind: Manner(
+            kind: Movement(
                 0.5 * model.types[kind].preset.reference_gain * recorded[kind].speed,
                 0.0,
                 recorded[kind].planted,
@@ -91,20 +91,24 @@ def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
             for kind in moved
         }
 
-    monkeypatch.setattr(calibration, "made_manners", made)
+    monkeypatch.setattr(calibration, "made_movements", made)
     found = calibrated_gains(tiny_model, dataset, 10)
     moved = {name for name, kind in tiny_model.types.items() if kind.reference_clips}
     assert {"walking", "cartwheel"} <= moved == set(found)
     assert set(found.values()) == {2.0}
 
 
-def test_roll_outs_depend_on_the_gain(tiny_model: MotionModel, dataset: Dataset) -> None:
-    gains = calibrated_gains(tiny_model, dataset, 20, repeats=1, gains=(1.0, 2.5))
+def test_roll_outs_depend_on_the_gain(
+    tiny_model: MotionModel, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibration, "REPEATS", 1)
+    monkeypatch.setattr(calibration, "GAINS", (1.0, 2.5))
+    gains = calibrated_gains(tiny_model, dataset, 20)
     assert gains and set(gains.values()) <= {1.0, 2.5}
     louder = with_presets(tiny_model, "reference_gain", {"cartwheel": 2.0})
     assert louder.types["cartwheel"].preset.reference_gain == 2.0
     assert louder.types["walking"].preset == tiny_model.types["walking"].preset
-    soft, loud = (made_manners(model, ["cartwheel"], 20, 1) for model in (tiny_model, louder))
+    soft, loud = (made_movements(model, ["cartwheel"], 20) for model in (tiny_model, louder))
     assert soft["cartwheel"] != loud["cartwheel"]
 
 
@@ -124,14 +128,14 @@ def test_types_that_noise_alone_moves_get_as_much_as_moves_them_as_recorded(
 ) -> None:
     """Roll-outs whose speed is the recorded one times their noise, without references."""
     model = moved_by_noise(tiny_model)
-    recorded = recorded_manners(dataset, ["walking"])["walking"]
+    recorded = recorded_movements(dataset, ["walking"])["walking"]
 
-    def made(alone: MotionModel, moved: list[str], frames: int, repeats: int) -> dict[str, Manner]:
+    def made(alone: MotionModel, moved: list[str], frames: int) -> dict[str, Movement]:
         assert not alone.uses_references and moved == ["walking"]
         noise = alone.types["walking"].preset.noise_scale
         return {"walking": replace(recorded, speed=noise / 1.2 * recorded.speed)}
 
-    monkeypatch.setattr(calibration, "made_manners", made)
+    monkeypatch.setattr(calibration, "made_movements", made)
     assert calibrated_noise(model, dataset, 10) == {"walking": 1.2}
     assert calibrated_noise(model.with_reference("none"), dataset, 10) == {}
 

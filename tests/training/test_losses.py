@@ -10,14 +10,13 @@ from torch import Tensor
 from motionkit.data.dataset import Dataset
 from motionkit.features.decode import decode_rotations
 from motionkit.features.layout import feature_layout
-from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.network import PartTransformer, Prediction
 from motionkit.models.presets import preset
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.rotations import quat_from_yaw, quat_to_sixd
 from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS, canonical_skeleton
 from motionkit.training import losses
-from motionkit.training.losses import Batch, FeatureSpace
+from motionkit.training.losses import Batch, ConsistencyModules, FeatureSpace
 from motionkit.training.sampler import WindowSampler
 from motionkit.training.windows import SamplerOptions
 

@@ -18,6 +18,7 @@ from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.models.checkpoint import load_model
 from motionkit.training import outcome, run_state
 from motionkit.training.report import TrainEvent
+from motionkit.training.run_state import TAKEN, run_options
 from motionkit.training.trainer import train
 
 pytestmark = pytest.mark.thorough
@@ -46,7 +47,7 @@ def test_types_whose_names_are_no_file_names(dataset_folder: Path, tmp_path: Pat
     assert set(ODD_NAMES) < set(model.types) and set(model.card["scores"]) == set(model.types)
     samples = [sample.name for sample in (tmp_path / "run" / "m.run" / "samples").iterdir()]
     assert len(samples) == 2 * len(model.types)
-    assert not any(word in note for note in notes for word in ("failed", "missing"))
+    assert not any(word in note for note in notes for word in ("failed", "missing")), notes
     assert {p.name for p in (tmp_path / "run").iterdir()} == {"m.safetensors", "m.run"}
 
 
@@ -232,6 +233,30 @@ def test_facts_of_a_checkpoint(
     assert complaint in _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil, method="adamw")
 
 
+@pytest.mark.parametrize("name", TAKEN)
+@pytest.mark.parametrize("value", ["x", -1, 1e99, [1], True, "left out"])
+def test_what_a_resumed_run_takes_from_its_checkpoint_is_checked(
+    dataset_folder: Path, finished_run: Path, tmp_path: Path, tiny_options, name: str, value: object
+) -> None:
+    def spoil(tensors: dict[str, torch.Tensor], facts: dict[str, Any]) -> None:
+        *group, key = name.split(".")
+        options = facts["options"][group[0]] if group else facts["options"]
+        options[key] = value
+        if value == "left out":
+            del options[key]
+
+    checkpoint = tmp_path / "m.run" / "checkpoint.safetensors"
+    if name == "sampler.splices":
+        assert f"damaged ({name} is" in _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil)
+    else:
+        _spoilt(finished_run, checkpoint, spoil)
+    if value == "left out" and name not in ("seed", "sampler.splices"):
+        assert run_options(checkpoint)[name] is None
+    else:
+        with pytest.raises(ModelError, match=rf"checkpoint.safetensors: .* damaged \({name} is "):
+            run_options(checkpoint)
+
+
 def test_runs_of_earlier_releases_had_adamw_alone(
     dataset_folder: Path, finished_run: Path, tmp_path: Path, tiny_options
 ) -> None:
@@ -242,17 +267,22 @@ def test_runs_of_earlier_releases_had_adamw_alone(
     assert "started with optimizer.method 'adamw' (now 'muon'); resume it with the same" in complaint
 
 
-def _resumed(
-    dataset_folder: Path, run: Path, tmp_path: Path, tiny_options, spoil: Callable, **options: Any
-) -> str:
-    """Return the error for a damaged copy of a run; check that nothing is written."""
-    checkpoint = tmp_path / "m.run" / "checkpoint.safetensors"
+def _spoilt(run: Path, checkpoint: Path, spoil: Callable) -> None:
+    """Write a damaged copy of a run's checkpoint."""
     checkpoint.parent.mkdir()
     with safe_open(str(run / "checkpoint.safetensors"), framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}
         facts = json.loads(file.metadata()["run"])
     spoil(tensors, facts)
     save_file({n: t.contiguous() for n, t in tensors.items()}, checkpoint, {"run": json.dumps(facts)})
+
+
+def _resumed(
+    dataset_folder: Path, run: Path, tmp_path: Path, tiny_options, spoil: Callable, **options: Any
+) -> str:
+    """Return the error for a damaged copy of a run; check that nothing is written."""
+    checkpoint = tmp_path / "m.run" / "checkpoint.safetensors"
+    _spoilt(run, checkpoint, spoil)
     with pytest.raises(ModelError) as caught:
         now = tiny_options(steps=2, splices=0, **options)
         train(dataset_folder, tmp_path / "m.safetensors", now, resume=True, device="cpu")

@@ -16,9 +16,7 @@ from motionkit.training.sampler import WindowSampler, window_generator
 from motionkit.training.scheduled_sampling import (
     PredictedInputs,
     ScheduledSamplingOptions,
-    join_batches,
     sampled_windows,
-    take_windows,
 )
 from motionkit.training.windows import ControlSampling, SamplerOptions
 
@@ -126,11 +124,8 @@ def test_windows_are_the_same_alone_and_together(
 ) -> None:
     options = ScheduledSamplingOptions(limit=1e9, reference_limit=1e9)
     together = run_on_predictions(network, batch, options, generators(), sampler)
-    alone = [
-        run_on_predictions(network, take_windows(batch, [i]), options, [generators()[i]], sampler)
-        for i in range(4)
-    ]
-    assert torch.allclose(join_batches(alone).inputs, together.inputs, atol=1e-4)
+    alone = [run_on_predictions(network, batch[[i]], options, [generators()[i]], sampler) for i in range(4)]
+    assert torch.allclose(Batch.joined(alone).inputs, together.inputs, atol=1e-4)
 
 
 def test_reference_poses_are_relative_to_the_predictions(

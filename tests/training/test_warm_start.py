@@ -14,13 +14,14 @@ from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
 from motionkit.models.bundled import BUNDLED, load_bundled_model, reference_rotations
 from motionkit.models.checkpoint import load_model
+from motionkit.models.predictor import Predictor
 from motionkit.models.presets import preset
 from motionkit.motion.bvh import write_bvh
 from motionkit.training import rehearsal
+from motionkit.training.initial_network import INITIAL_SHARE, InitialNetwork, check_start, similar_types
 from motionkit.training.presets import FINE_TUNE, fine_tune_options
 from motionkit.training.rehearsal import keep_types
 from motionkit.training.trainer import train
-from motionkit.training.warm_start import WAY_BACK, check_start, part_way_back, similar_types
 from synthetic_motions import make_walk
 
 pytestmark = pytest.mark.thorough
@@ -137,8 +138,10 @@ def test_weights_go_part_of_the_way_back_but_for_new_types() -> None:
     name = "shallow.embed_controls.weight"
     begun = {"other": torch.zeros(3), name: torch.zeros(2, layout.size, 4)}
     trained = {key: torch.ones_like(value) for key, value in begun.items()}
-    made = part_way_back(trained, begun, layout, ("new",))
-    back = torch.tensor(1.0 - WAY_BACK)
+    made = InitialNetwork(Predictor(None, 0), layout, weights=begun, new_types=("new",)).towards_initial(
+        trained
+    )
+    back = torch.tensor(1.0 - INITIAL_SHARE)
     assert torch.equal(made["other"], back.expand(3))
     new, old = layout.type.start, layout.type.start + 1
     assert bool((made[name][:, new] == 1.0).all()) and bool((made[name][:, old] == back).all())

@@ -14,12 +14,14 @@ from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import LEG_TO_STATURE, Skeleton, canonical_skeleton, leg_length
 from motionkit.view.contact_sheet import contact_sheet, pose_frames, write_contact_sheet
 from motionkit.view.contact_sheet_geometry import (
+    BALL,
     camera_angle,
     low_frames,
     motion_figure,
     screen_points,
     sliding_frames,
 )
+from motionkit.view.figure_data import MotionView, figure_data
 
 pytest.importorskip("PIL")
 
@@ -65,6 +67,23 @@ def test_the_stature_is_that_of_the_legs() -> None:
     armed = replace(bare, skeleton=far, local_rotations=quat_identity((len(bare), len(far))))
     assert motion_figure(armed).stature == pytest.approx(motion_figure(bare).stature)
     assert motion_figure(bare).stature == pytest.approx(leg_length(skeleton) / LEG_TO_STATURE)
+
+
+def test_a_foot_without_toes_is_looked_at_where_they_would_be() -> None:
+    """Its ankle moves while the heel rises and the ball of the foot stands."""
+    body = standing()
+    names, offsets = body.skeleton.names, body.skeleton.offsets
+    bare = body.skeleton.picked([i for i, name in enumerate(names) if not name.endswith("ToeBase")])
+    toes = {side: offsets[names.index(f"{side}ToeBase")] for side in ("Left", "Right")}
+    ends = {bare.index(f"{side}Foot"): tuple((toe / BALL).tolist()) for side, toe in toes.items()}
+    bare = replace(bare, end_sites=bare.end_sites | ends)
+    cut = replace(body, skeleton=bare, local_rotations=quat_identity((len(body), len(bare))))
+    whole, figure = motion_figure(body), motion_figure(cut)
+    for side, foot in figure.feet.items():
+        expected = whole.positions[:, whole.feet[side]]
+        np.testing.assert_allclose(figure.positions[:, foot], expected, atol=1e-3)
+    joints = [bare.names[foot["joint"]] for foot in figure_data(MotionView("cut", cut))["feet"]]
+    assert joints == ["LeftFoot", "RightFoot"]
 
 
 def test_pushed_feet_slide_and_lifted_feet_do_not() -> None:

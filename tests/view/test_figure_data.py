@@ -23,7 +23,7 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.upright import in_metres
 from motionkit.view.body import make_body
-from motionkit.view.figure_data import Shown, figure_data, pack
+from motionkit.view.figure_data import MotionView, figure_data, pack
 from motionkit.view.surface import REGIONS, Surface
 from synthetic_motions import make_walk
 
@@ -90,7 +90,7 @@ def test_packing_keeps_numbers(kind: str) -> None:
 
 def test_frames_survive_packing() -> None:
     motion = make_walk(90)
-    data = figure_data(Shown("walk", motion))
+    data = figure_data(MotionView("walk", motion))
     rotations = unpack(data["rotations"]).astype(np.float64)
     rotations = rotations / np.linalg.norm(rotations, axis=-1, keepdims=True)
     kept = replace(
@@ -196,5 +196,5 @@ def test_a_rest_pose_without_sense_gives_the_same_body() -> None:
 def test_a_single_joint_is_drawn() -> None:
     lone = Skeleton(("box",), (-1,), np.zeros((1, 3), np.float32))
     motion = Motion(lone, quat_identity((4, 1)), np.zeros((4, 3), np.float32), 30.0)
-    data = figure_data(Shown("box", motion))
+    data = figure_data(MotionView("box", motion))
     assert data["body"]["points"]["shape"][0] > 0 and data["frames"] == 4

@@ -14,7 +14,7 @@ from PIL import Image
 from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_multiply, quat_rotate
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import MotionView
 from motionkit.view.film import write_film
 from motionkit.view.picture import Scenery
 from motionkit.view.raster import fill_triangles
@@ -32,7 +32,7 @@ def blue(picture: Image.Image) -> np.ndarray:
 def test_a_gif_plays_in_real_time(tmp_path: Path) -> None:
     file = tmp_path / "walk.gif"
     done: list[int] = []
-    write_film(file, [Shown("walk", make_walk(61))], 200, lambda n, count: done.append(count - n))
+    write_film(file, [MotionView("walk", make_walk(61))], 200, lambda n, count: done.append(count - n))
     with Image.open(file) as gif:
         assert gif.size == (200, 150) and gif.n_frames == 21 and done[-1] == 0
         assert gif.info["duration"] * gif.n_frames == pytest.approx(1050)
@@ -45,7 +45,7 @@ def test_a_gif_plays_in_real_time(tmp_path: Path) -> None:
 
 
 def test_the_figure_stands_upright_in_the_picture_and_turns_over() -> None:
-    scenery = Scenery([Shown("cartwheel", make_cartwheel(60))], 240, 180)
+    scenery = Scenery([MotionView("cartwheel", make_cartwheel(60))], 240, 180)
     pictures = [np.array(scenery.frame(t)).astype(int) for t in (0.0, 0.5)]
     trousers = [
         np.argwhere((p[..., 2] - p[..., 0] > 15) & (p.sum(axis=-1) < 260))[:, 0].mean() for p in pictures
@@ -56,7 +56,7 @@ def test_the_figure_stands_upright_in_the_picture_and_turns_over() -> None:
 
 
 def test_two_motions_stand_side_by_side() -> None:
-    picture = Scenery([Shown("a", make_walk(10)), Shown("b", make_walk(10))], 240, 180).frame(0.0)
+    picture = Scenery([MotionView("a", make_walk(10)), MotionView("b", make_walk(10))], 240, 180).frame(0.0)
     pixels = np.array(picture).astype(int)
     left = np.argwhere(blue(picture))[:, 1].mean()
     right = np.argwhere(pixels[..., 0] - pixels[..., 2] > 60)[:, 1].mean()
@@ -85,7 +85,7 @@ def shirt(picture: Image.Image, color: tuple[int, int, int]) -> np.ndarray:
 @pytest.mark.parametrize("directions", [(0, 180), (0, 120, 240), (0, 0, 0), (90, 90, 200)])
 def test_nobody_walks_out_of_the_picture(directions: tuple[int, ...]) -> None:
     walk = make_walk(481)
-    scenery = Scenery([Shown(str(d), turned(walk, d)) for d in directions], 320, 240)
+    scenery = Scenery([MotionView(str(d), turned(walk, d)) for d in directions], 320, 240)
     for time in (0.0, 2.0, 5.0, 8.0):
         picture = scenery.frame(time)
         for color in SHIRTS[: len(directions)]:
@@ -100,7 +100,7 @@ def test_nobody_walks_out_of_the_picture(directions: tuple[int, ...]) -> None:
 def test_a_single_figure_stays_in_the_picture_too() -> None:
     leap = make_walk(121)
     leap.root_positions[:, 1] += 200.0 * np.sin(np.linspace(0.0, math.pi, 121, dtype=np.float32))
-    scenery = Scenery([Shown("leap", leap)], 240, 180)
+    scenery = Scenery([MotionView("leap", leap)], 240, 180)
     for time in (0.0, 0.5, 1.0, 2.0):
         corners = scenery.framing.camera(time).screen(scenery.actors[0].body(time)[0])
         assert (corners > 0.0).all() and (corners[:, :2] < scenery.size).all()
@@ -108,7 +108,7 @@ def test_a_single_figure_stays_in_the_picture_too() -> None:
 
 def test_several_figures_are_named() -> None:
     walk = make_walk(61)
-    picture = np.array(Scenery([Shown("gt", walk), Shown("made", walk)], 320, 240).frame(0.5))
+    picture = np.array(Scenery([MotionView("gt", walk), MotionView("made", walk)], 320, 240).frame(0.5))
     for color in SHIRTS[:2]:
         tag = (picture == [part * 3 // 4 for part in color]).all(axis=-1)
         rows, columns = np.nonzero(tag)
@@ -124,7 +124,7 @@ def test_several_figures_are_named() -> None:
 )
 def test_any_name_fits_into_the_picture(name: str) -> None:
     walk = make_walk(4)
-    scenery = Scenery([Shown(name, walk)] * 12, 160, 120)
+    scenery = Scenery([MotionView(name, walk)] * 12, 160, 120)
     assert scenery.labels is not None
     assert all(tag.width < 80 and tag.height < 30 for tag in scenery.labels.tags)
     assert scenery.frame(0.0).size == (160, 120)
@@ -152,7 +152,7 @@ def test_triangles_cover_the_middles_of_their_pixels() -> None:
 def test_a_film(tmp_path: Path) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     file = tmp_path / "walk.mp4"
-    write_film(file, [Shown("walk", make_walk(31))], 160)
+    write_film(file, [MotionView("walk", make_walk(31))], 160)
     frames, seconds = ffmpeg.count_frames_and_secs(str(file))
     # Older ffmpeg tells when the last frame it wrote begins, up to three frames early.
     assert frames == 16 and seconds == pytest.approx(16 / 30, abs=3.5 / 30)
@@ -163,20 +163,20 @@ def test_without_imageio_ffmpeg_one_line_tells_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MotionkitError, match=r'pip install "motionkit\[video\]"'):
-        write_film(tmp_path / "walk.mp4", [Shown("walk", make_walk(4))])
+        write_film(tmp_path / "walk.mp4", [MotionView("walk", make_walk(4))])
     assert not (tmp_path / "walk.mp4").exists()
 
 
 def test_other_endings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MotionkitError, match=r"\.gif or \.mp4"):
-        write_film(tmp_path / "walk.avi", [Shown("walk", make_walk(4))])
+        write_film(tmp_path / "walk.avi", [MotionView("walk", make_walk(4))])
 
 
 @pytest.mark.parametrize(("name", "width"), [("a.mp4", 4000), ("a.gif", 3840)])
 def test_what_would_fill_the_memory_is_refused_at_once(tmp_path: Path, name: str, width: int) -> None:
     pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     with pytest.raises(MotionkitError, match=r"at most (3840 pixels|2 s for a GIF)"):
-        write_film(tmp_path / name, [Shown("walk", make_walk(200))], width)
+        write_film(tmp_path / name, [MotionView("walk", make_walk(200))], width)
     assert not list(tmp_path.iterdir())
 
 
@@ -187,7 +187,10 @@ def test_a_place_that_cannot_be_written_is_told_before_the_first_picture(tmp_pat
     (tmp_path / "none").touch()
     with pytest.raises(MotionkitError, match="cannot be written"):
         write_film(
-            tmp_path / "none" / f"a.{ending}", [Shown("a", make_walk(4))], 160, lambda n, _: drawn.append(n)
+            tmp_path / "none" / f"a.{ending}",
+            [MotionView("a", make_walk(4))],
+            160,
+            lambda n, _: drawn.append(n),
         )
     assert not drawn
 
@@ -200,5 +203,5 @@ def test_an_ffmpeg_that_fails_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(ffmpeg, "write_frames", broken)
     with pytest.raises(MotionkitError, match=r"could not write the video \(broken pipe\)$"):
-        write_film(tmp_path / "a.mp4", [Shown("a", make_walk(4))], 160)
+        write_film(tmp_path / "a.mp4", [MotionView("a", make_walk(4))], 160)
     assert not list(tmp_path.iterdir())

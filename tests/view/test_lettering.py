@@ -60,7 +60,7 @@ def test_other_scripts_are_spelled_out(words: str, drawn: str) -> None:
 
 
 def test_a_font_of_the_system_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    font = lettering._named_font(lettering.OWN_FONT, 20)
+    font = lettering._named_font(lettering.BUNDLED_FONT, 20)
     monkeypatch.setattr(lettering, "SYSTEM_FONTS", ("has-them.ttc",))
     if not lettering._lacking(lettering._default_font(20), "été"):
         pytest.skip("this Pillow's own font has the letters")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import MotionView
 
 pytest.importorskip("PIL")
 from motionkit.view.picture import SHIRTS
@@ -20,10 +20,10 @@ def near(picture: np.ndarray, color: tuple[int, int, int], apart: int = 40) -> i
     return int((np.abs(picture.astype(int) - color).max(axis=-1) < apart).sum())
 
 
-def shown(path: np.ndarray | None) -> Shown:
+def shown(path: np.ndarray | None) -> MotionView:
     motion = bvh_to_motion(read_bvh(CLIP))
     half = motion.seconds / 2
-    return Shown("a run", motion, [("running", half), ("walking", half)], path)
+    return MotionView("a run", motion, [("running", half), ("walking", half)], path)
 
 
 def test_poses_along_a_path_with_track_and_path() -> None:

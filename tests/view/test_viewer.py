@@ -20,7 +20,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.rig.on_rig import read_rig
 from motionkit.rig.upright import in_metres
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import MotionView
 from motionkit.view.notebook import show
 from motionkit.view.viewer import viewer_page, write_viewer
 from synthetic_characters import CHARACTERS, skinned
@@ -41,15 +41,17 @@ def cmu_clip(name: str, frames: int) -> Motion:
 
 
 @pytest.fixture(scope="module")
-def two_motions() -> list[Shown]:
+def two_motions() -> list[MotionView]:
     """A walk at 60 fps and a recording of another rig and unit at 120, with types and a path."""
     path = np.array([[0.0, 0.0], [0.0, 300.0], [100.0, 500.0]], np.float32)
-    walk = Shown("a <b>walk</b></script>", make_walk(120), [("walking", 1.5), ("running", 0.5)], path)
-    return [walk, Shown("16_05", cmu_clip("16_05", 240))]
+    walk = MotionView("a <b>walk</b></script>", make_walk(120), [("walking", 1.5), ("running", 0.5)], path)
+    return [walk, MotionView("16_05", cmu_clip("16_05", 240))]
 
 
 @pytest.fixture(scope="module")
-def opened(two_motions: list[Shown], tmp_path_factory: pytest.TempPathFactory, open_page: Callable) -> Page:
+def opened(
+    two_motions: list[MotionView], tmp_path_factory: pytest.TempPathFactory, open_page: Callable
+) -> Page:
     """The viewer of two_motions, opened from disk, offline."""
     file = tmp_path_factory.mktemp("viewer") / "two motions.html"
     write_viewer(file, two_motions)
@@ -67,8 +69,8 @@ def page(opened: Page) -> Page:
 
 def joints_in_page(page: Page, track: int) -> np.ndarray:
     """(J, 3) where the page has the joints of a motion, before it moves them side by side."""
-    places = page.evaluate(f"Array.from(motionkit.tracks[{track}].clip.pose.places)")
-    return np.array(places).reshape(-1, 3)
+    places = page.evaluate(f"motionkit.tracks[{track}].clip.pose.places.map((p) => p.toArray())")
+    return np.array(places)
 
 
 def picture(page: Page) -> np.ndarray:
@@ -78,7 +80,7 @@ def picture(page: Page) -> np.ndarray:
     return np.array(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
 
 
-def test_joints_are_where_kinematics_puts_them(page: Page, two_motions: list[Shown]) -> None:
+def test_joints_are_where_kinematics_puts_them(page: Page, two_motions: list[MotionView]) -> None:
     for seconds, frames in ((0.0, (0, 0)), (1.0, (60, 120)), (1.5, (90, 180))):
         page.evaluate(f"motionkit.seek({seconds}, true)")
         for track, (shown, frame) in enumerate(zip(two_motions, frames, strict=True)):
@@ -88,12 +90,12 @@ def test_joints_are_where_kinematics_puts_them(page: Page, two_motions: list[Sho
             np.testing.assert_allclose(joints_in_page(page, track), expected, atol=2e-3)
 
 
-def test_every_joint_is_drawn(page: Page, two_motions: list[Shown]) -> None:
+def test_every_joint_is_drawn(page: Page, two_motions: list[MotionView]) -> None:
     page.get_by_role("button", name="Skeleton").click()
     for track, shown in enumerate(two_motions):
         figure = f"motionkit.tracks[{track}].figure"
-        assert page.evaluate(f"{figure}.drawnJoints") == len(shown.motion.skeleton)
-        assert page.evaluate(f"{figure}.skeletonShown")
+        assert page.evaluate(f"{figure}.joints.count") == len(shown.motion.skeleton)
+        assert page.evaluate(f"{figure}.bones.visible")
         carried = set(page.evaluate(f"Array.from({figure}.rig.body.joints)"))
         names = shown.motion.skeleton.names
         limbs = {
@@ -162,7 +164,7 @@ def test_motions_side_by_side_are_all_in_the_picture_at_first(
 ) -> None:
     walk = make_walk(240)
     file = tmp_path / "many.html"
-    write_viewer(file, [Shown(f"walk {n}", walk) for n in range(5)])
+    write_viewer(file, [MotionView(f"walk of a stranger {n}", walk) for n in range(6)])
     page = browser.new_page(viewport={"width": size[0], "height": size[1]})
     page.goto(file.as_uri())
     page.wait_for_selector("html[data-ready]", state="attached", timeout=PATIENCE)
@@ -174,7 +176,9 @@ def test_motions_side_by_side_are_all_in_the_picture_at_first(
             return group.position.clone().add({ x, y: 0.9, z }).project(motionkit.stage.camera).x;
         })"""
     )
+    hidden = page.evaluate("document.querySelector('#clips').scrollHeight - clips.clientHeight")
     page.close()
+    assert hidden <= 1, "six names are all to be seen"
     assert np.abs(across).max() < 0.95
     assert np.ptp(across) > 1.0, "the camera stands no further off than it must"
 
@@ -187,8 +191,8 @@ def test_a_low_screen_leaves_the_figures_half_of_it(page: Page) -> None:
     page.wait_for_function("document.getElementById('timeline').clientHeight > 100")
 
 
-def test_the_size_of_a_file(two_motions: list[Shown]) -> None:
-    empty = len(viewer_page([Shown("x", two_motions[0].motion.cut(0, 1))]))
+def test_the_size_of_a_file(two_motions: list[MotionView]) -> None:
+    empty = len(viewer_page([MotionView("x", two_motions[0].motion.cut(0, 1))]))
     assert empty < 1_500_000
     frames = len(two_motions[0].motion)
     assert len(viewer_page(two_motions[:1])) - empty < 200 * frames
@@ -196,7 +200,7 @@ def test_the_size_of_a_file(two_motions: list[Shown]) -> None:
 
 def test_a_cartwheel_has_types_contacts_and_an_end(tmp_path: Path, open_page: Callable) -> None:
     file = tmp_path / "one.html"
-    write_viewer(file, [Shown("cartwheel", make_cartwheel(60), [("cartwheel", 1.0)])])
+    write_viewer(file, [MotionView("cartwheel", make_cartwheel(60), [("cartwheel", 1.0)])])
     page = open_page(file.as_uri(), offline=True)
     bands = page.evaluate("motionkit.tracks[0].clip.types")
     assert bands == [{"type": "cartwheel", "start": 0, "end": 1}]
@@ -205,7 +209,7 @@ def test_a_cartwheel_has_types_contacts_and_an_end(tmp_path: Path, open_page: Ca
     assert page.evaluate("motionkit.tracks[0].frame") == 59
 
 
-def test_the_page_asks_for_nothing(two_motions: list[Shown], tmp_path: Path, browser: Browser) -> None:
+def test_the_page_asks_for_nothing(two_motions: list[MotionView], tmp_path: Path, browser: Browser) -> None:
     file = tmp_path / "alone.html"
     write_viewer(file, two_motions[:1])
     page = browser.new_page()
@@ -223,7 +227,7 @@ def test_no_motions_is_an_error() -> None:
 
 
 def test_motion_waits_where_it_is_to_be_reduced(
-    two_motions: list[Shown], tmp_path: Path, open_page: Callable
+    two_motions: list[MotionView], tmp_path: Path, open_page: Callable
 ) -> None:
     file = tmp_path / "calm.html"
     write_viewer(file, two_motions[:1])
@@ -233,7 +237,7 @@ def test_motion_waits_where_it_is_to_be_reduced(
 
 
 def test_a_bare_page_has_no_controls_and_a_click_pauses(
-    two_motions: list[Shown], tmp_path: Path, open_page: Callable
+    two_motions: list[MotionView], tmp_path: Path, open_page: Callable
 ) -> None:
     file = tmp_path / "bare.html"
     file.write_text(viewer_page(two_motions[:1], bare=True), "utf-8")
@@ -246,7 +250,7 @@ def test_a_bare_page_has_no_controls_and_a_click_pauses(
 
 
 def test_a_notebook_cell_plays_in_a_frame(
-    two_motions: list[Shown], tmp_path: Path, open_page: Callable
+    two_motions: list[MotionView], tmp_path: Path, open_page: Callable
 ) -> None:
     player = show(two_motions[0].motion, names=['a "quoted" <name>'], height=300)
     cell = player._repr_html_()
@@ -267,7 +271,7 @@ def test_a_notebook_cell_plays_in_a_frame(
         ({"height": 0}, "height of 50 to 2000 pixels, found 0"),
     ],
 )
-def test_what_a_notebook_cell_cannot_show(two_motions: list[Shown], options: dict, fault: str) -> None:
+def test_what_a_notebook_cell_cannot_show(two_motions: list[MotionView], options: dict, fault: str) -> None:
     with pytest.raises(MotionkitError, match=fault):
         show(two_motions[0].motion, **options)
 
@@ -281,7 +285,7 @@ def test_a_users_character_is_where_its_joints_are(open_page: Callable, tmp_path
     write_motion(moving, rig_clip(on_rig(make_walk(40), rig), rig, "walk"))
     clip = read_clip(moving)
     assert clip.character is not None
-    write_viewer(tmp_path / "view.html", [Shown("walk", clip.motion, character=clip.character)] * 2)
+    write_viewer(tmp_path / "view.html", [MotionView("walk", clip.motion, character=clip.character)] * 2)
     assert '"body":null' in (tmp_path / "view.html").read_text("utf-8")
     page = open_page((tmp_path / "view.html").as_uri())
     page.evaluate("motionkit.seek(0.5, true)")

@@ -5,15 +5,16 @@ from __future__ import annotations
 import functools
 import inspect
 import json
-import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.names import visible
+from motionkit.cli.finite import FiniteRange
+from motionkit.files import plain
+from motionkit.names import about, first_lines, visible
 from motionkit.reading import reading
 from motionkit.seeds import LARGEST_SEED
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
     from motionkit.cli.console import PlainConsole
 
+LISTED_LINES = 20  # lines of a kind that are printed; --json lists all
+_FEW = 3  # files with the same note that are named one by one
 STOPPED = 130  # exit code of a stopped command: 128 plus SIGINT, as in shells
 
 # ---- options ----
@@ -56,13 +59,16 @@ def together(*decorators: Callable) -> Callable:
 
 
 def gathered(name: str, record: Callable[..., Any]) -> Callable:
-    """Pass options to the command as one record: those that the record has fields for. Put this below the options."""
+    """Pass options to the command as one record: those that the record has fields for. Put this below the options.
+
+    A field without an option keeps its default.
+    """
     fields = tuple(inspect.signature(record).parameters)
 
     def decorate(function: Callable) -> Callable:
         @functools.wraps(function)
         def with_record(**values: Any) -> Any:
-            mine = {field: values.pop(field) for field in fields}
+            mine = {field: values.pop(field) for field in fields if field in values}
             return function(**values, **{name: record(**mine)})
 
         return with_record
@@ -82,8 +88,13 @@ def _choose(context: click.Context, parameter: click.Parameter, value: str | Non
         context.with_resource(reading(animation=value))
 
 
+def eager_option(*names: str, callback: Callable[..., Any], **more: Any) -> Callable:
+    """An option that its callback carries out, before the command begins."""
+    return click.option(*names, is_eager=True, expose_value=False, callback=callback, **more)
+
+
 def named_animation_option(text: str) -> Callable:
-    return click.option("--clip", "animation", expose_value=False, is_eager=True, callback=_choose, help=text)
+    return eager_option("--clip", "animation", callback=_choose, help=text)
 
 
 animation_option = named_animation_option("Animation to read from a .glb or .vrm that has several.")
@@ -99,28 +110,26 @@ def read_strictly(context: click.Context, parameter: click.Parameter, value: boo
     return value
 
 
-strict_option = click.option(
+strict_option = eager_option(
     "--strict",
     is_flag=True,
-    is_eager=True,
-    expose_value=False,
     callback=read_strictly,
-    help="Refuse clips with faults that are otherwise settled and noted, such as a wrong frame count or NaN.",
+    help="Refuse clips with faults that are otherwise repaired and reported, such as a wrong frame count or NaN.",
 )
 
 
 UPS = click.Choice(["X", "Y", "Z", "-X", "-Y", "-Z"], case_sensitive=False)
 
 
-def given_up(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
-    """The up axis that the user gives, which is said."""
+def parse_up(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+    """The up axis that the user gives; prints it."""
     if value:
         remark(f"as given: {value} is up")
     return value
 
 
-def given_cm(context: click.Context, parameter: click.Parameter, value: str | None) -> float | None:
-    """The cm of the unit that the user names, which are said."""
+def parse_cm(context: click.Context, parameter: click.Parameter, value: str | None) -> float | None:
+    """The cm of the unit that the user names; prints them."""
     if not value:
         return None
     from motionkit.rig.units import UNITS, named_unit
@@ -135,11 +144,11 @@ def given_cm(context: click.Context, parameter: click.Parameter, value: str | No
 
 
 def _read_upright(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
-    context.with_resource(reading(up=given_up(context, parameter, value)))
+    context.with_resource(reading(up=parse_up(context, parameter, value)))
 
 
 def _read_unit(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
-    context.with_resource(reading(cm=given_cm(context, parameter, value)))
+    context.with_resource(reading(cm=parse_cm(context, parameter, value)))
 
 
 def _read_mapped(context: click.Context, parameter: click.Parameter, value: Path | None) -> None:
@@ -150,37 +159,45 @@ def _read_mapped(context: click.Context, parameter: click.Parameter, value: Path
         remark(f"as given: the bone map {value}")
 
 
-def taken_option(name: str, callback: Callable[..., None], text: str, **more: Any) -> Callable:
-    """An option for what is taken of clips instead of found in them, said as the command begins."""
-    return click.option(name, is_eager=True, expose_value=False, callback=callback, help=text, **more)
-
-
-# What is taken of the clips of a command in place of what is found in them.
-taken_options = together(
-    taken_option("--up", _read_upright, "Axis of the clips that points up; found by default.", type=UPS),
-    taken_option(
-        "--unit",
-        _read_unit,
-        "Unit of the clips: cm, m, mm, dm, inches, or the centimetres per unit; found by default.",
+# What the user says about clips, in place of what is found in them.
+input_options = together(
+    eager_option(
+        "--up", type=UPS, callback=_read_upright, help="Axis of the clips that points up; found by default."
     ),
-    taken_option(
+    eager_option(
+        "--unit",
+        callback=_read_unit,
+        help="Unit of the clips: cm, m, mm, dm, inches, or the centimetres per unit; found by default.",
+    ),
+    eager_option(
         "--map",
-        _read_mapped,
-        "Bone map of the clips (JSON, from `motionkit retarget --save-map`); found by names and shape by default.",
         type=EXISTING_FILE,
+        callback=_read_mapped,
+        help="Bone map of the clips (JSON, from `motionkit retarget --save-map`); found by names and shape by default.",
     ),
 )
-clip_options = together(strict_option, taken_options)
+clip_options = together(strict_option, input_options)
 
 
-def seed_option(default: int = 0) -> Callable:
-    """The --seed option of every command that draws random numbers."""
-    return option(
-        "--seed",
-        type=click.IntRange(0, LARGEST_SEED),
-        default=default,
-        help="Random seed; the same seed gives the same result.",
-    )
+seed_option = option(
+    "--seed",
+    type=click.IntRange(0, LARGEST_SEED),
+    default=0,
+    help="Random seed; the same seed gives the same result.",
+)
+
+
+def fps_option(text: str) -> Callable:
+    """The --fps option of commands that write a motion."""
+    return click.option("--fps", type=FiniteRange(1, 480), help=text)
+
+
+processes_option = option(
+    "--jobs",
+    default=0,
+    type=click.IntRange(0, 256),
+    help="Number of processes for a folder; 0 chooses it by cores and files.",
+)
 
 
 def labels_option(text: str) -> Callable:
@@ -196,17 +213,6 @@ def print_json(value: Any) -> None:
     click.echo(json.dumps(plain(value), indent=2))
 
 
-def plain(value: Any) -> Any:
-    """A value for JSON: NaN and infinity become None, tuples become lists, paths become text."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value
-
-
 def say(text: str) -> None:
     """Print a line of the result to stdout."""
     click.echo(visible(text))
@@ -215,6 +221,20 @@ def say(text: str) -> None:
 def remark(text: str) -> None:
     """Print a message to stderr."""
     click.echo(visible(text), err=True)
+
+
+def lines_of_files(notes: Sequence[tuple[str, str]], most: int = LISTED_LINES) -> list[str]:
+    """A line for each file name and note; of many files, one line for all with the same note."""
+    alike: dict[str, list[tuple[str, str]]] = {}
+    for name, text in notes:
+        alike.setdefault(text.removeprefix(name) if len(notes) > most else f"{name} {text}", []).append(
+            (name, text)
+        )
+    lines = []
+    for files in alike.values():
+        listed = [about(*file) for file in files]
+        lines += listed if len(files) <= _FEW else [f"{len(files)} files, such as {listed[0]}"]
+    return first_lines(lines, most, "files")
 
 
 def stdout_console() -> PlainConsole:

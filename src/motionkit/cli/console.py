@@ -33,8 +33,7 @@ def make_table(
 ) -> Table:
     """A table of text; without a title it has no rules.
 
-    Args:
-        left: indices of the left-aligned columns; the others, which hold numbers, are right-aligned.
+    Columns are right-aligned, for numbers, but those of index `left`.
     """
     usual = {} if "title" in style else BARE
     table = Table(**(usual | style))

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, animations_option, clip_options, gathered, json_option
-from motionkit.cli.finite import FiniteRange
+from motionkit.cli.common import PLACE, animations_option, clip_options, fps_option, gathered, json_option
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import Wanted, animation_options, body_option, naming
+from motionkit.cli.outputs import OutputOptions, animation_options, body_option
 from motionkit.cli.rig_options import RootMotion, root_options
+from motionkit.errors import naming
 
 
 @click.command("convert")
 @click.argument("source", type=PLACE)
 @click.argument("target", type=PLACE)
-@click.option("--fps", type=FiniteRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
+@fps_option("Frame rate of TARGET; that of SOURCE by default.")
 @clip_options
 @root_options
 @animations_option
@@ -48,7 +48,7 @@ def command(
     from motionkit.motion.motion import resample
 
     for clip_name, file in _targets(source, target):
-        outputs = Wanted(file, False, as_json, name, alone).files("", [source])
+        outputs = OutputOptions(file, False, as_json, name, alone).files("", [source])
         clip = read_clip(source, clip_name)
         motion = clip.motion if fps is None else resample(clip.motion, fps)
         with naming(source):
@@ -63,18 +63,18 @@ def command(
             "joints": joints,
         }
         wrote = f"wrote {file}: {joints} joints, {frames} frames at {motion.fps:g} fps"
-        outputs.report(facts, [wrote], {source: clip.motion})
+        outputs.report(facts, [wrote], (source, clip.in_file()))
 
 
 def _targets(source: Path, target: Path) -> list[tuple[str | None, Path]]:
     """The animations to convert and their files: one, or with --clip all TARGET with the name of each."""
     from motionkit.files import check_outputs, safe_name
-    from motionkit.reading import ALL, told_animation
+    from motionkit.reading import ALL, user_animation
     from motionkit.rig.gltf import GltfFile
     from motionkit.rig.read_file import is_gltf
     from motionkit.rig.read_glb import clip_lengths
 
-    if told_animation() != ALL or not is_gltf(source):
+    if user_animation() != ALL or not is_gltf(source):
         return [(None, target)]
     names = [name for name, _ in clip_lengths(GltfFile(source))]
     files = [target.with_name(f"{target.stem}-{safe_name(name, 80)}{target.suffix}") for name in names]

@@ -17,7 +17,7 @@ from motionkit.cli.synthesis_options import reference_option
     "--output",
     type=FOLDER,
     default=Path("site"),
-    help="Folder to write; made if it is not there, other files in it stay.",
+    help="Folder to write; other files in it stay.",
 )
 @model_option
 @reference_option

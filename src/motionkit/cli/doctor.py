@@ -16,17 +16,19 @@ from motionkit.cli.common import (
     clip_options,
     json_option,
     labels_option,
+    lines_of_files,
     print_json,
+    processes_option,
     stdout_console,
 )
 from motionkit.errors import MotionkitError
-from motionkit.names import about, counted
+from motionkit.names import counted, first_lines
 
 if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
     from motionkit.data.diagnosis import ClipFacts, Diagnosis
 
-SHOWN_CLIPS, SHOWN_SKIPS, SHOWN_NOTES, SHOWN_RIGS = 60, 8, 8, 12  # lines of each kind; --json lists all
+LISTED_CLIPS, LISTED_SKIPS, LISTED_NOTES, LISTED_RIGS = 60, 8, 8, 12  # lines of each kind; --json lists all
 NO_LIMIT = 1000  # columns, if the output is not a terminal
 
 
@@ -38,8 +40,9 @@ NO_LIMIT = 1000  # columns, if the output is not a terminal
 @click.option(
     "--verbose", is_flag=True, help="Also print every clip, every type, and notes of how files were read."
 )
+@processes_option
 @json_option
-def command(data: tuple[Path, ...], labels: Path | None, verbose: bool, as_json: bool) -> None:
+def command(data: tuple[Path, ...], labels: Path | None, verbose: bool, jobs: int, as_json: bool) -> None:
     """Look at clips (.bvh, .amc, .npz, .glb, .vrm, .fbx) and folders of them (DATA) before training.
 
     Prints whether they can be used, their rigs with unit and up axis, and what looks wrong: clips that never leave the
@@ -51,7 +54,7 @@ def command(data: tuple[Path, ...], labels: Path | None, verbose: bool, as_json:
     from motionkit.data.diagnosis import diagnose
 
     with Stages() as show:
-        found = diagnose(data, labels, show.count("looking"))
+        found = diagnose(data, labels, show.count("looking"), jobs)
     if as_json:
         from dataclasses import asdict
 
@@ -59,6 +62,8 @@ def command(data: tuple[Path, ...], labels: Path | None, verbose: bool, as_json:
     else:
         _print(found, verbose)
     faults = [clip for clip in found.clips if clip.fault]
+    if not found.clips and not found.labels:
+        raise MotionkitError("there is no motion to look at; `motionkit retarget --rig FILE` looks at a rig")
     if not found.clips:
         raise MotionkitError(f"{found.labels}: lists none of the {len(found.skipped)} files")
     if faults:
@@ -88,7 +93,7 @@ def _verdict(found: Diagnosis) -> str:
 
     usable, count = sum(not clip.fault for clip in found.clips), len(found.clips)
     if not count:
-        return "no file is listed"
+        return "no file is listed" if found.labels else "no file has a motion"
     if usable < count:
         files = f"{usable} of {counted(count, 'file')}" if usable else "none of the files"
         verdict = f"{files} can be used" if count > 1 else "the file cannot be used"
@@ -109,9 +114,9 @@ def _print_tables(found: Diagnosis, out: PlainConsole) -> None:
     """Print a row for each clip, the rigs, and a row for each type."""
     from motionkit.cli.console import make_table
 
-    _print_clips([clip for clip in found.clips[:SHOWN_CLIPS] if not clip.fault], out)
-    if len(found.clips) > SHOWN_CLIPS:
-        out.print(f"... and {len(found.clips) - SHOWN_CLIPS} more files; --json lists all")
+    _print_clips([clip for clip in found.clips[:LISTED_CLIPS] if not clip.fault], out)
+    if len(found.clips) > LISTED_CLIPS:
+        out.print(f"... and {len(found.clips) - LISTED_CLIPS} more files; --json lists all")
     rows = [
         (t.name, f"{t.clips}", f"{t.seconds / 60:.2f}", f"{t.speed / 100:.2f}", f"{t.in_the_air:.0%}")
         for t in found.types
@@ -125,20 +130,17 @@ def _lines(found: Diagnosis, verbose: bool) -> Iterator[str]:
     """What needs doing; with verbose, notes too."""
     from motionkit.data.labels import BEYOND_END
 
-    for clip in found.clips:
-        if clip.fault:
-            yield f"cannot be used: {about(clip.name, clip.fault)}"
-    for line in found.skipped[:SHOWN_SKIPS]:
-        yield f"skipped {line}"
-    if len(found.skipped) > SHOWN_SKIPS:
-        yield f"skipped {len(found.skipped) - SHOWN_SKIPS} more; --json lists all"
-    yield from (line for line in found.lines if verbose or line.startswith("warning: "))
+    for line in lines_of_files([(clip.name, clip.fault) for clip in found.clips if clip.fault]):
+        yield f"cannot be used: {line}"
+    yield from first_lines([f"skipped {line}" for line in found.skipped], LISTED_SKIPS, "skipped files")
+    lines = [line for line in found.lines if verbose or line.startswith("warning: ")]
+    yield from first_lines(lines, LISTED_CLIPS, "lines")
     if found.types:
         yield f"types from {found.labels}" if found.labels else "types from folder and file names"
     # Label segments beyond the end of a clip are listed among the warnings already.
     notes = Counter(note for clip in found.clips for note in clip.notes if not note.startswith(BEYOND_END))
     if verbose:
-        for note, count in notes.most_common(SHOWN_NOTES):
+        for note, count in notes.most_common(LISTED_NOTES):
             yield f"note: {note} ({counted(count, 'clip')})"
 
 
@@ -164,10 +166,9 @@ def _print_rigs(clips: list[ClipFacts], out: PlainConsole) -> None:
     if len(rigs) == 1:
         out.print(f"{'rig of all clips' if len(clips) > 1 else 'rig'}: {next(iter(rigs))}")
         return
-    for place, (rig, count) in list(enumerate(rigs.items(), 1))[:SHOWN_RIGS]:
-        out.print(f"rig {place}: {rig} ({counted(count, 'clip')})")
-    if len(rigs) > SHOWN_RIGS:
-        out.print(f"... and {len(rigs) - SHOWN_RIGS} more rigs; --json lists all")
+    lines = [f"rig {n}: {rig} ({counted(count, 'clip')})" for n, (rig, count) in enumerate(rigs.items(), 1)]
+    for line in first_lines(lines, LISTED_RIGS, "rigs"):
+        out.print(line)
 
 
 def _rig(clip: ClipFacts) -> str:

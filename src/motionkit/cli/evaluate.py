@@ -16,7 +16,6 @@ from motionkit.cli.common import (
     gathered,
     json_option,
     option,
-    plain,
     print_json,
     stdout_console,
 )
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Asked:
+class EvaluateOptions:
     """The options of the command."""
 
     only: str | None
@@ -103,59 +102,58 @@ class Asked:
     help="First random seed; the first of the split by default, 0 or 1000. The same seed gives the same result.",
 )
 @json_option
-@gathered("asked", Asked)
-def command(model: str, dataset: Path, asked: Asked) -> None:
-    """Measure MODEL against the recordings of DATASET and print its scoreboard.
+@gathered("options", EvaluateOptions)
+def command(model: str, dataset: Path, options: EvaluateOptions) -> None:
+    """Compare the motion of MODEL with the recordings of DATASET, and print its scoreboard.
 
     MODEL is a model file, or the word bundled. DATASET is a folder made by preprocess. The sections are:
 
     \b
     visible         leaps of knees, flipped bodies, floating, sinking, falls
     accuracy        how often the motion shows the type asked for
-    variety         how far seeds are apart, what they show of the recordings
+    variety         distance between seeds, share of the recordings they show
     stability       whether long roll-outs keep moving and stay on the floor
     reconstruction  held-out clips, rolled out from their first frames
-    gaits           how steadily gaits go, tight circles, how often types step
-    paths           distance from the paths to follow
+    gaits           steadiness of gaits, tight circles, steps a second
+    paths           distance from the path
     response        seconds from a command to the response
-    smoothness      joints and braking in transitions that no clip contains
+    smoothness      joint speed and braking in transitions that no clip contains
     types           whether each type works, and why not; only with --quick or --only
-    classes         what a classifier of the types takes the motion for; only with --only
+    classes         accuracy of a classifier on the motion; only with --only
 
-    Motion is measured as users get it by default, with feet locked; other columns have the raw network and the model
-    without its reference recordings. docs/evaluation.md defines every number. The exit code is 0 whether or not the
+    The default output is measured, with feet locked; other columns have the raw network and the model without
+    its reference recordings. docs/evaluation.md defines every number. The exit code is 0 whether or not the
     targets are reached.
     """
-    for file in asked.output:
+    for file in options.output:
         if file.suffix.lower() not in (".md", ".json"):
             raise click.UsageError(f"{file}: expected a report named .md or .json")
 
-    from motionkit.data.dataset import Dataset
-    from motionkit.files import atomic_write, check_outputs
-    from motionkit.lab.scoreboard.board import evaluate_model
+    from motionkit.files import atomic_write, check_outputs, plain
+    from motionkit.lab.scoreboard.board import evaluate
     from motionkit.models.bundled import open_model
 
-    check_outputs(asked.output, [model, *dataset.glob("*")])
+    check_outputs(options.output, [model, *dataset.glob("*")])
     loaded = open_model(model)
-    sections, settings = asked.measured(loaded)
+    sections, settings = options.measured(loaded)
     with Stages() as show:
         show("reading", 0)
-        board = evaluate_model(
-            loaded,
-            Dataset(dataset),
-            settings,
-            sections,
-            lambda name, share: show(name, 100 * share, 100),
-            asked.jobs,
+        board = evaluate(
+            dataset,
+            model=loaded,
+            only=sections,
+            settings=settings,
+            jobs=options.jobs,
+            progress=lambda name, share: show(name, 100 * share, 100),
         )
     board.about.update({"model": model, "dataset": str(dataset)})
-    for file in asked.output:
+    for file in options.output:
         with atomic_write(file) as out:
             if file.suffix.lower() == ".md":
                 out.write(board.markdown())
             else:
                 json.dump(plain(board.as_dict()), out, indent=2)
-    if asked.as_json:
+    if options.as_json:
         print_json(board.as_dict())
     else:
         _print(board, stdout_console())

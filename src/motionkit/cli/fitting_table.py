@@ -8,10 +8,9 @@ from motionkit.cli.common import remark, stdout_console
 
 
 def print_fitting(header: Sequence[str], rows: Sequence[Sequence[str]], spare: Sequence[int]) -> None:
-    """Print a table; omit columns if it is wider than the terminal. Words and numbers are never broken.
+    """Print a table that fits the terminal: words and numbers are never broken.
 
-    Args:
-        spare: columns that may be omitted, in this order.
+    Columns of `spare` are left out instead, in this order.
     """
     from rich.cells import cell_len
     from rich.table import Table

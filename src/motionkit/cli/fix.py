@@ -19,8 +19,8 @@ from motionkit.cli.common import (
 )
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import Wanted, animation_options, clip_output_option, naming, shown_name
-from motionkit.errors import MotionkitError
+from motionkit.cli.outputs import OutputOptions, animation_options, clip_output_option, display_name
+from motionkit.errors import MotionkitError, naming
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 @click.argument("clip", type=PLACE)
 @clip_output_option("fixed")
 @switch("--glitches/--no-glitches", "Bridge joints that jump away and back, and limbs that flip.")
-@switch("--trembling/--no-trembling", "Filter the trembling of markers.")
+@switch("--trembling/--no-trembling", "Filter out marker jitter.")
 @switch("--floor/--no-floor", "Set the floor to height zero.")
-@switch("--sliding/--no-sliding", "Hold feet still while they touch the floor.")
+@switch("--sliding/--no-sliding", "Lock feet while they touch the floor.")
 @click.option(
     "--root-from-feet",
     is_flag=True,
-    help="Give the root a new way by the feet that stand, for captures whose root is pinned or drifts (video, Kinect).",
+    help="Compute the root's path from the planted feet, for captures whose root is pinned or drifts (video, Kinect).",
 )
 @animation_option
 @animation_options
@@ -47,43 +47,45 @@ if TYPE_CHECKING:
     "--strength",
     default=1.0,
     type=FiniteRange(0.2, 10),
-    help="Width of the filter against trembling: 1 is 0.15 s.",
+    help="Width of the jitter filter: 1 is 0.15 s.",
 )
 @click.option("--view", is_flag=True, help="Also write a web page that plays both motions, and open it.")
 @json_option
 @folders("clip", "output")
-@gathered("wanted", Wanted)
-def command(clip: Path, wanted: Wanted, **repairs: Any) -> None:
+@gathered("output_options", OutputOptions)
+def command(clip: Path, output_options: OutputOptions, **repairs: Any) -> None:
     """Repair CLIP, a motion of any rig; joints, bone lengths, unit and frames stay.
 
-    The command prints what it measured before and after; a step that makes it worse is taken back, and said.
-    Rigs that are not human keep their floor and feet.
+    The command prints measures before and after. It undoes a step that makes them worse, and says so.
+    Floor and feet of rigs that are not human stay as they are.
     """
     from motionkit.editing.fix import Repairs, fix_motion
     from motionkit.export.formats import read_clip
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
-    wanted.check()
-    outputs = wanted.files(f"{clip.stem}-fixed", [clip])
+    output_options.check()
+    outputs = output_options.files(f"{clip.stem}-fixed", [clip])
     source = read_clip(clip)
     with naming(clip, MotionkitError):
         fixed = fix_motion(source.motion, Repairs(**repairs))
     with naming(clip):
         outputs.write(source.with_motion(fixed.motion))
     both = (("before", source.motion), ("after", fixed.motion))
-    outputs.show(lambda: [Shown(f"{clip.stem} {word}", m, character=source.character) for word, m in both])
+    outputs.show(
+        lambda: [MotionView(f"{clip.stem} {word}", m, character=source.character) for word, m in both]
+    )
     rows = [asdict(row) for row in fixed.table]
     facts = {"output": outputs.file, "table": rows, "glitches": fixed.glitches, "notes": fixed.notes}
-    wrote = f"wrote {shown_name(outputs.file)}: {len(source.motion)} frames at {source.motion.fps:g} fps"
+    wrote = f"wrote {display_name(outputs.file)}: {len(source.motion)} frames at {source.motion.fps:g} fps"
     lines = [wrote, _table(fixed), *(f"  {note}" for note in fixed.notes)]
-    outputs.report(facts, lines, {clip: source.motion})
+    outputs.report(facts, lines, (clip, source.in_file()))
 
 
 def _table(fixed: Fixed) -> Table:
     from motionkit.cli.console import make_table
 
-    def shown(value: float | None) -> str:
+    def cell(value: float | None) -> str:
         return "-" if value is None else f"{value:.3g}"
 
-    rows = [(row.name, shown(row.before), shown(row.after), row.unit) for row in fixed.table]
+    rows = [(row.name, cell(row.before), cell(row.after), row.unit) for row in fixed.table]
     return make_table(("", "before", "after", ""), rows, (0, 3), padding=(0, 2), pad_edge=True)

@@ -5,25 +5,33 @@ from __future__ import annotations
 import functools
 import importlib
 import os
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
 
-from motionkit.cli.common import Stages, option, print_json, remark, say, together
-from motionkit.cli.outputs import FORMATS, STDOUT, checked_ending
+from motionkit.cli.common import (
+    LISTED_LINES,
+    Stages,
+    lines_of_files,
+    option,
+    print_json,
+    processes_option,
+    remark,
+    say,
+    together,
+)
+from motionkit.cli.outputs import FORMATS, READ_AS, STDOUT, checked_ending
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.files import check_outputs, remove_leftovers
-from motionkit.names import about
-from motionkit.reading import manner, reading
+from motionkit.names import about, counted, first_lines
+from motionkit.reading import reading
 
-jobs_option = option(
-    "--jobs",
-    default=0,
-    type=click.IntRange(0, 256),
-    help="Folders: number of processes; 0 is one for each core.",
-)
+Line = tuple[str, str]  # a file, and what is said of it
+
+LISTED_KINDS = 12  # lines of how the clips of a folder were read
 
 
 def _folder_options(forms: tuple[str, ...]) -> Callable:
@@ -35,16 +43,23 @@ def _folder_options(forms: tuple[str, ...]) -> Callable:
             type=click.Choice(forms),
             help="Folders: format to write.",
         ),
-        jobs_option,
+        processes_option,
     )
 
 
 class _Job(NamedTuple):
-    """One clip: the module of the command, its arguments, and how to read."""
+    """One clip: the module of the command, and its arguments."""
 
     module: str
     values: dict[str, Any]
-    manner: dict[str, Any]
+
+
+class _Done(NamedTuple):
+    """What became of a clip: the error, or "", the notes on what was read, and how clips were read."""
+
+    error: str
+    notes: list[str]
+    read_as: list[str]
 
 
 FILES = tuple(
@@ -65,8 +80,8 @@ def folders(
         @_folder_options(forms)
         @functools.wraps(function)
         def whole(jobs: int, form: str, **values: Any) -> Any:
-            given = values[source]
-            place = given[0] if isinstance(given, tuple) and len(given) == 1 else given
+            sources = values[source]
+            place = sources[0] if isinstance(sources, tuple) and len(sources) == 1 else sources
             if not isinstance(place, Path) or not place.is_dir():
                 context = click.get_current_context()
                 parameter = next(each for each in context.command.params if each.name == target)
@@ -82,7 +97,7 @@ def folders(
 def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, form: str, jobs: int) -> None:
     """Run the command on every clip of a folder; raises MotionkitError at the end if some failed."""
     from motionkit.data.workers import worker_processes
-    from motionkit.rig.read_file import motion_files, told_endings
+    from motionkit.rig.read_file import endings_text, motion_files
 
     out = values[target]
     if out is None or out == STDOUT:
@@ -93,7 +108,7 @@ def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, 
         raise OverwriteError(f"{out}: is inside the input folder {folder}; choose another output folder")
     found = motion_files(folder)
     if not found:
-        raise MotionkitError(f"{folder}: no {told_endings()} files found")
+        raise MotionkitError(f"{folder}: no {endings_text()} files found")
     places = [(out / path.relative_to(folder)).with_suffix(f".{form}") for path in found]
     check_outputs(places, found)
     module = importlib.import_module("motionkit.cli.main").COMMANDS[click.get_current_context().info_name]
@@ -104,51 +119,90 @@ def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, 
             single
             | {source: (path,) if isinstance(values[source], tuple) else path, target: place}
             | {"jobs": 1, "form": form},
-            manner(),
         )
         for path, place in zip(found, places, strict=True)
     ]
-    failed: list[dict[str, Any]] = []
+    failed: list[Line] = []
+    notes: list[Line] = []
+    read_as: list[Line] = []
     try:
         with Stages() as show, worker_processes(min(jobs or os.cpu_count() or 1, len(items))) as each:
             progress = show.count("working", len(items))
-            for done, (path, (error, notes)) in enumerate(zip(found, each(_run_one, items), strict=True), 1):
-                for line in (*notes, *([f"failed: {about(str(path), error)}"] if error else ())):
-                    remark(line)
-                failed += [{"file": path, "error": error}] if error else []
-                progress(done)
+            for number, (path, done) in enumerate(zip(found, each(_run_one, items), strict=True), 1):
+                if done.error:
+                    failed.append((str(path), done.error))
+                    if len(failed) <= LISTED_LINES:
+                        remark(f"failed: {about(*failed[-1])}")
+                notes += [(path.name, note) for note in done.notes]
+                read_as += [(path.name, words) for words in done.read_as]
+                progress(number)
     except BaseException:
-        remove_leftovers(places)  # of processes that were killed
+        remove_leftovers(out)  # of processes that were killed
         raise
-    wrote = len(found) - len(failed)
-    if values["as_json"]:
-        print_json({"output": out, "written": wrote, "failed": failed})
-    else:
-        say(f"{out}: {wrote} of {len(found)} files written")
+    _report(out, len(found), failed, notes, read_as, values["as_json"])
     if failed:
         raise MotionkitError(f"{len(failed)} of {len(found)} files failed")
 
 
-def _run_one(job: _Job) -> tuple[str, list[str]]:
-    """Run a command on one clip without output; its error, "" if there is none, and the notes on what was read."""
+def _report(
+    out: Path, count: int, failed: list[Line], notes: list[Line], read_as: list[Line], as_json: bool
+) -> None:
+    """Print what became of a folder's clips: each list has a file and what is said of it."""
+    for line in (
+        *lines_of_files(notes),
+        *(f"failed: {line}" for line in lines_of_files(failed[LISTED_LINES:])),
+    ):
+        remark(line)
+    wrote = count - len(failed)
+    if as_json:
+        summary = {
+            "notes": [note for _, note in notes],
+            "taken": dict(Counter(words for _, words in read_as)),
+        }
+        faults = [{"file": path, "error": error} for path, error in failed]
+        print_json({"output": out, "written": wrote, "failed": faults} | summary)
+    else:
+        for line in (f"{out}: {wrote} of {count} files written", *_input_lines(read_as)):
+            say(line)
+
+
+def _input_lines(read_as: list[Line]) -> list[str]:
+    """How the clips of a folder were read, in lines; several are counted."""
+    files = Counter(words for _, words in read_as)
+    first = {words: name for name, words in reversed(read_as)}
+    lines = [
+        f"  {counted(count, 'file') if count > 1 else first[words]}: {words}"
+        for words, count in files.most_common()
+    ]
+    return first_lines(lines, LISTED_KINDS, "kinds")
+
+
+def _run_one(job: _Job) -> _Done:
+    """Run a command on one clip without output."""
     from contextlib import redirect_stderr, redirect_stdout
 
     command: click.Command = importlib.import_module(f"motionkit.cli.{job.module}").command
     notes: list[str] = []
+    error = ""
     place = next(value for name, value in job.values.items() if name in ("output", "target"))
     with (
         Path(os.devnull).open("w") as nothing,
         redirect_stdout(nothing),
         redirect_stderr(nothing),
-        reading(hear=notes.append, **job.manner),
-        click.Context(command),
+        reading(on_note=notes.append),
+        click.Context(command) as context,
     ):
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
             assert command.callback is not None
             command.callback(**job.values)
-        except click.ClickException as error:
-            return error.format_message(), list(dict.fromkeys(notes))
-        except (MotionkitError, OSError) as error:
-            return str(error), list(dict.fromkeys(notes))
-    return "", list(dict.fromkeys(notes))  # a file may be read twice, such as for its motion and for its rig
+        except click.ClickException as fault:
+            error = fault.format_message()
+        except (MotionkitError, OSError) as fault:
+            error = str(fault)
+    read_as = dict.fromkeys(
+        words.partition("; ")[2] for words in context.meta.get(READ_AS, ())
+    )  # without frames
+    return _Done(
+        error, list(dict.fromkeys(notes)), list(read_as)
+    )  # a file may be read twice, such as for its rig

@@ -10,7 +10,7 @@ import click
 
 from motionkit.cli.common import Stages, read_strictly, remark
 from motionkit.cli.finite import FINITE
-from motionkit.cli.outputs import Wanted, output_option, shown_name
+from motionkit.cli.outputs import OutputOptions, display_name, output_option
 from motionkit.cli.synthesis_options import (
     Making,
     SynthesisCommand,
@@ -33,8 +33,8 @@ FAR = 30_000.0  # cm; a longer path may have been meant in other units
 @output_option("File to write; a BVH file named after the path by default")
 @click.option(
     "--types",
-    help="Named shapes: motion types along the path, in equal parts, such as running,cartwheel,running; "
-    "walking by default, or the model's walk under its own name.",
+    help="Named shapes: motion types along the path, in equal parts, such as running,cartwheel,running; walking by "
+    "default, or the model's walk under its own name.",
 )
 @click.option(
     "--size",
@@ -47,10 +47,12 @@ FAR = 30_000.0  # cm; a longer path may have been meant in other units
     is_flag=True,
     is_eager=True,
     callback=read_strictly,
-    help="Refuse speeds at which a gait does not look right, and clips with faults that are otherwise settled.",
+    help="Refuse speeds at which a gait does not look right, and clips with faults that are otherwise repaired.",
 )
 @synthesis_options
-def command(path: str, types: str | None, making: Making, wanted: Wanted, **shape: Any) -> None:
+def command(
+    path: str, types: str | None, making: Making, output_options: OutputOptions, **shape: Any
+) -> None:
     """Make a character follow PATH and write BVH or another format.
 
     PATH is a JSON or CSV file in metres, whose parts have points, a type and a speed (docs/paths.md), or a
@@ -60,18 +62,19 @@ def command(path: str, types: str | None, making: Making, wanted: Wanted, **shap
     A gait goes no slower and no faster than its recordings look right, and the command says so.
     """
     from motionkit.control.speeds import other_speeds, short_performances
-    from motionkit.requests import is_path_file, path_request
+    from motionkit.requests import PATH_ENDINGS, is_path_file, path_request
 
     is_file = is_path_file(path)
     if types is not None and not types.strip(" ,"):
         raise click.UsageError("--types is empty; give motion types such as running,cartwheel")
-    if is_file and (types or shape["size"] is not None or shape["speed"] is not None):
+    holds_types = Path(path).suffix.lower() in PATH_ENDINGS
+    if holds_types and (types or shape["size"] is not None or shape["speed"] is not None):
         raise click.UsageError("--types, --size and --speed are for named shapes; a path file holds its own")
-    wanted.check()
+    output_options.check()
     request = path_request(path, types=types, **shape, **making.words())
     model, target = request.model, request.path
     name = f"{Path(path).stem}-{target.parts[0].type}"
-    outputs = wanted.files(name, (path if is_file else None, *making.inputs))
+    outputs = output_options.files(name, (path if is_file else None, *making.inputs))
     if target.length > FAR:
         metres = target.length / 100.0
         remark(
@@ -86,11 +89,15 @@ def command(path: str, types: str | None, making: Making, wanted: Wanted, **shap
     bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]
     written, measured = making.choice.put(result.motion, making.ik, drawn=result.unfinished)
     outputs.write(making.choice.clip_of(written, outputs.file.stem, bands))
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
     character = making.choice.character
-    outputs.show(lambda: [Shown(outputs.file.stem, written, bands, target.points, character)])
-    facts = {"file": outputs.file, **_facts(request, result), "metrics": motion_metrics(measured)}
+    outputs.show(lambda: [MotionView(outputs.file.stem, written, bands, target.points, character)])
+    facts = {
+        "file": outputs.file,
+        **_facts(request, result),
+        "metrics": motion_metrics(measured, making.choice.rig),
+    }
     facts["frames_per_second"] = result.frames / max(result.seconds, 1e-9)
     facts["seed"] = making.seed
     outputs.report(facts, _lines(facts, model.fps, making.choice.words))
@@ -116,8 +123,8 @@ def _facts(request: PathRequest, result: FollowResult) -> dict[str, Any]:
 def _lines(facts: dict[str, Any], fps: float, on: str) -> Iterator[str]:
     """The result in words."""
     end = "reached the end" if facts["finished"] else "did not reach the end"
-    way = f"{facts['frames'] / fps:.1f} s along {facts['path_cm'] / 100:.1f} m"
-    yield f"wrote {shown_name(facts['file'])}: {way}{on}, {end}"
+    travelled = f"{facts['frames'] / fps:.1f} s along {facts['path_cm'] / 100:.1f} m"
+    yield f"wrote {display_name(facts['file'])}: {travelled}{on}, {end}"
     for number, part in enumerate(facts["parts"], 1):
         mean, most = part["mean_cm"], part["max_cm"]
         words = "not reached" if mean is None else f"{mean:.2f} cm from the path, at most {most:.1f} cm"

@@ -8,16 +8,20 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import EXISTING_FILE, clip_options, gathered, json_option, option, remark, together
+from motionkit.cli.common import (
+    EXISTING_FILE,
+    clip_options,
+    fps_option,
+    gathered,
+    json_option,
+    option,
+    remark,
+)
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, animation_options, output_option, shown_name, view_option
+from motionkit.cli.outputs import OutputOptions, animation_options, display_name, output_option, view_option
 from motionkit.cli.rig_options import RigChoice, clip_option, open_rig, rig_option
 from motionkit.cli.times import Moment, TimePair
 from motionkit.names import counted
-
-
-def _open_rig(rig_path: Path | None, clip_path: Path | None) -> RigChoice:
-    return open_rig(rig_path, None, clip_path)  # --map is that of all files
 
 
 @click.command("join")
@@ -26,16 +30,16 @@ def _open_rig(rig_path: Path | None, clip_path: Path | None) -> RigChoice:
 @click.option(
     "--window",
     type=FiniteRange(0.05, 10),
-    help="Seconds at the end of a clip and at the start of the next in which the best frames to join are looked for; "
-    "1 by default, or half of a shorter clip.",
+    help="Search the best frames to join in this many seconds at the end of a clip and at the start of the next; 1 by "
+    "default, or half of a shorter clip.",
 )
 @click.option(
     "--at",
     type=TimePair(),
     multiple=True,
     metavar="LEAVE:ENTER",
-    help="Join at these times instead: when a clip is left and when the next is entered, in seconds or frames, such as "
-    "2.5:0.3 or 150f:20f. Give it once for each join.",
+    help="Join at these times instead: time in the first clip and time in the next, in seconds or frames, such as "
+    "2.5:0.3 or 150f:20f. Repeat it for each join.",
 )
 @option(
     "--blend",
@@ -43,21 +47,21 @@ def _open_rig(rig_path: Path | None, clip_path: Path | None) -> RigChoice:
     type=FiniteRange(0.05, 3),
     help="Seconds over which the difference at a join decays.",
 )
-@click.option(
-    "--fps", type=FiniteRange(1, 480), help="Frame rate to write; that of the first clip by default."
-)
+@fps_option("Frame rate to write; that of the first clip by default.")
 @click.option(
     "--clip",
     "animations",
     multiple=True,
     help="Animation to read from a .glb or .vrm that has several; repeat it, in the order of these files.",
 )
-@together(rig_option, clip_option, gathered("choice", _open_rig))
+@rig_option
+@clip_option
+@gathered("choice", open_rig)  # without a map, for --map is that of all files
 @animation_options
 @clip_options
 @view_option
 @json_option
-@gathered("wanted", Wanted)
+@gathered("output_options", OutputOptions)
 def command(
     clips: tuple[Path, ...],
     window: float | None,
@@ -66,21 +70,21 @@ def command(
     fps: float | None,
     animations: tuple[str, ...],
     choice: RigChoice,
-    wanted: Wanted,
+    output_options: OutputOptions,
 ) -> None:
     """Join CLIPS, two or more, into one motion on the rig of the first.
 
-    Each clip goes on at the place and in the heading of the one before it, from where their poses are most similar.
-    What differs there decays, and feet on the floor are held meanwhile; other frames stay as they are. Clips of other
+    Each clip continues at the place and heading of the one before it, from where their poses are most similar.
+    The difference there decays while feet on the floor are held; other frames stay as they are. Clips of other
     human rigs are retargeted, other rates resampled. The command prints where it joined, how far the poses were
     apart, and how fast feet slide there before and after they are held.
     """
     from motionkit.editing.join import FAR, join_motions
     from motionkit.export.formats import read_clip
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
-    wanted.check()
-    outputs = wanted.files(f"{clips[0].stem}-joined", [*clips, *choice.files])
+    output_options.check()
+    outputs = output_options.files(f"{clips[0].stem}-joined", [*clips, *choice.files])
     chosen = list(zip(clips, _named(clips, animations), strict=True))
     sources = [read_clip(clip, name) for clip, name in chosen]
     rates = [source.motion.fps for source in sources]
@@ -100,7 +104,7 @@ def command(
     made = joined.motion
     whole = sources[0].with_motion(made) if choice.rig is None else choice.clip_of(made, "")
     outputs.write(replace(whole, name=f"{sources[0].name}-joined"))
-    outputs.show(lambda: [Shown(outputs.file.stem, made)])
+    outputs.show(lambda: [MotionView(outputs.file.stem, made)])
     for seam, (first, second) in zip(joined.seams, pairwise(names), strict=True):
         if seam.apart > FAR:
             remark(
@@ -108,14 +112,14 @@ def command(
                 "give better times with --at"
             )
     lines = [
-        f"wrote {shown_name(outputs.file)}: {len(made)} frames, {made.seconds:.2f} s at {made.fps:g} fps"
+        f"wrote {display_name(outputs.file)}: {len(made)} frames, {made.seconds:.2f} s at {made.fps:g} fps"
     ]
     short = [Path(name).name for name in names]
     lines += [f"  {seam.sentence(*two)}" for seam, two in zip(joined.seams, pairwise(short), strict=True)]
     facts = {"output": outputs.file, "frames": len(made), "fps": made.fps}
     seams = [seam.as_dict() for seam in joined.seams]
-    read = {clip: source.motion for clip, source in zip(clips, sources, strict=True)}
-    outputs.report(facts | {"seams": seams}, lines, read)
+    read = [(clip, source.in_file()) for clip, source in zip(clips, sources, strict=True)]
+    outputs.report(facts | {"seams": seams}, lines, *read)
 
 
 def _named(clips: tuple[Path, ...], animations: tuple[str, ...]) -> list[str | None]:

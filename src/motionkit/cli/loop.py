@@ -10,15 +10,14 @@ from motionkit.cli.common import PLACE, animation_option, clip_options, gathered
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.folders import folders
 from motionkit.cli.outputs import (
-    Wanted,
+    OutputOptions,
     animation_options,
     clip_output_option,
-    naming,
-    shown_name,
+    display_name,
     view_option,
 )
 from motionkit.cli.rig_options import RootMotion, root_options
-from motionkit.errors import MotionkitError
+from motionkit.errors import MotionkitError, naming
 
 
 @click.command("loop")
@@ -27,7 +26,7 @@ from motionkit.errors import MotionkitError
 @click.option(
     "--seconds",
     type=FiniteRange(0.1, 3600),
-    help="Length in seconds; the cycle of the nearest length is taken. By default the shortest good cycle.",
+    help="Length in seconds; takes the cycle nearest to it. By default the shortest good cycle.",
 )
 @click.option(
     "--at-origin",
@@ -42,9 +41,9 @@ from motionkit.errors import MotionkitError
 @json_option
 @folders("clip", "output")
 @gathered("root_motion", RootMotion)
-@gathered("wanted", Wanted)
+@gathered("output_options", OutputOptions)
 def command(
-    clip: Path, seconds: float | None, at_origin: bool, root_motion: RootMotion, wanted: Wanted
+    clip: Path, seconds: float | None, at_origin: bool, root_motion: RootMotion, output_options: OutputOptions
 ) -> None:
     """Cut the best cycle out of CLIP, a motion of any rig, and close it: its last frame meets its first.
 
@@ -53,20 +52,20 @@ def command(
     """
     from motionkit.editing.loop import make_loop
     from motionkit.export.formats import read_clip
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
-    wanted.check()
-    outputs = wanted.files(f"{clip.stem}-loop", [clip])
+    output_options.check()
+    outputs = output_options.files(f"{clip.stem}-loop", [clip])
     source = read_clip(clip)
     with naming(clip, MotionkitError):
         loop = make_loop(source.motion, seconds, from_origin=at_origin)
     with naming(clip):
         made = root_motion.applied(loop.motion, cyclic=True)
         outputs.write(source.with_motion(made))
-    outputs.show(lambda: [Shown(outputs.file.stem, made, character=source.character)])
+    outputs.show(lambda: [MotionView(outputs.file.stem, made, character=source.character)])
     if note := loop.note(seconds):
         remark(note)
     cut = {"start": loop.start, "end": loop.end, "seconds": loop.seconds, "difference_cm": loop.difference}
     cut |= {"times": loop.times}
-    lines = [f"wrote {shown_name(outputs.file)}: {loop.sentence(clip.name)}", f"  {loop.seam.sentence()}"]
-    outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict()}, lines, {clip: source.motion})
+    lines = [f"wrote {display_name(outputs.file)}: {loop.sentence(clip.name)}", f"  {loop.seam.sentence()}"]
+    outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict()}, lines, (clip, source.in_file()))

@@ -60,6 +60,11 @@ SPELLINGS = {
     "cut": "trim",
     "concat": "join",
     "merge": "join",
+    "repair": "fix",
+    "flip": "mirror",
+    "info": "doctor",
+    "types": "synthesize --list-types",
+    "help": "--help",
 }
 
 
@@ -84,7 +89,7 @@ class CommandGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand; KeyboardInterrupt becomes Stopped, because click would print an empty line."""
         try:
-            with reading(hear=_remark_once()):
+            with reading(on_note=_remark_once()):
                 return super().invoke(ctx)
         except KeyboardInterrupt:
             raise Stopped from None
@@ -94,27 +99,42 @@ class CommandGroup(click.Group):
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
-            near = [word for word, known in SPELLINGS.items() if word == name.lower()] or get_close_matches(
-                name.lower(), COMMANDS, 1, 0.6
-            )
-            if near:
-                raise click.UsageError(
-                    f"no such command {name!r}; did you mean {SPELLINGS.get(near[0], near[0])}?"
-                )
+            meant = _meant(name)
+            if meant:
+                raise click.UsageError(f"no such command {name!r}; did you mean {meant}?")
             return None
         return importlib.import_module(f"motionkit.cli.{COMMANDS[name]}").command
 
 
+def _meant(name: str) -> str:
+    """The command that a word which is none may have been meant for; "" if none is known."""
+    word = name.lower()
+    if word in SPELLINGS:
+        return SPELLINGS[word]
+    if os.path.isfile(name):
+        return f"view {name}"
+    return _with_option(f"--{word}") or next(iter(get_close_matches(word, COMMANDS, 1, 0.6)), "")
+
+
+def _with_option(option: str) -> str:
+    """The first command that has this option, with it; "" if none has it."""
+    for name, module in COMMANDS.items():
+        command: click.Command = importlib.import_module(f"motionkit.cli.{module}").command
+        if any(option in parameter.opts for parameter in command.params):
+            return f"{name} {option}"
+    return ""
+
+
 def _remark_once() -> Callable[[str], None]:
     """Prints the notes on files that are read; some commands read a file twice."""
-    told: set[str] = set()
+    printed: set[str] = set()
 
-    def hear(note: str) -> None:
-        if note not in told:
-            told.add(note)
+    def print_once(note: str) -> None:
+        if note not in printed:
+            printed.add(note)
             remark(note)
 
-    return hear
+    return print_once
 
 
 @click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"]})
@@ -131,7 +151,7 @@ _IMPORT_WAIT = 0.002
 # Seconds during which further signals are ignored, so that half-written files can be removed.
 _PATIENCE = 2.0
 _stopped_at = -_PATIENCE
-_told = False
+_stop_printed = False
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -144,21 +164,21 @@ def _stop(number: int, frame: FrameType | None) -> None:
     if postpone(number):
         return
     if _importing(frame) and hasattr(signal, "setitimer"):
-        tell_stopped()
+        print_stopped()
         signal.setitimer(signal.ITIMER_REAL, _IMPORT_WAIT)
     elif time.monotonic() - _stopped_at > _PATIENCE:
         _stopped_at = time.monotonic()
         raise KeyboardInterrupt
 
 
-def tell_stopped() -> None:
+def print_stopped() -> None:
     """Print "stopped" once, on a new line after the ^C that a terminal shows.
 
     This bypasses Python's buffers, because a signal may have interrupted a write to them.
     """
-    global _told
-    if not _told:
-        _told = True
+    global _stop_printed
+    if not _stop_printed:
+        _stop_printed = True
         after_caret_c = os.linesep if os.isatty(2) else ""
         os.write(2, f"{after_caret_c}stopped{os.linesep}".encode())
 
@@ -172,8 +192,8 @@ def _importing(frame: FrameType | None) -> bool:
 
 
 def _catch_signals() -> None:
-    global _stopped_at, _told
-    _stopped_at, _told = -_PATIENCE, False
+    global _stopped_at, _stop_printed
+    _stopped_at, _stop_printed = -_PATIENCE, False
     for name in ("SIGINT", "SIGTERM", "SIGALRM"):  # SIGALRM is the timer of _stop
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
@@ -211,7 +231,7 @@ def main() -> None:
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
     except (Stopped, click.Abort, KeyboardInterrupt):
-        tell_stopped()
+        print_stopped()
         sys.exit(STOPPED)
     except MotionkitError as error:
         remark(f"error: {error}")
@@ -233,9 +253,13 @@ def _show(error: click.ClickException) -> None:
     option = MEANT.get(getattr(getattr(error, "ctx", None), "info_name", None) or "")
     if extra and option and isinstance(error, click.UsageError):
         error = click.UsageError(f"{error.message}; did you mean {option} {extra[1]}?", error.ctx)
-    with io.StringIO() as shown:
-        error.show(shown)
-        for line in shown.getvalue().rstrip("\n").split("\n"):
+    if isinstance(error, click.NoSuchOption) and isinstance(error.ctx and error.ctx.command, CommandGroup):
+        meant = _with_option(error.option_name)
+        if meant:
+            error = click.UsageError(f"{error.message.rstrip('.')}; did you mean {meant}?", error.ctx)
+    with io.StringIO() as buffer:
+        error.show(buffer)
+        for line in buffer.getvalue().rstrip("\n").split("\n"):
             remark(line)
 
 

@@ -18,15 +18,16 @@ from motionkit.cli.common import (
     clip_options,
     gathered,
     json_option,
+    lines_of_files,
     option,
     print_json,
+    processes_option,
     remark,
     say,
     stdout_console,
 )
 from motionkit.cli.finite import FINITE, FiniteRange
-from motionkit.cli.folders import jobs_option
-from motionkit.cli.outputs import Outputs, default_output, read_again, taken_facts, taken_lines, view_option
+from motionkit.cli.outputs import Outputs, default_output, input_lines, view_option
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings
 from motionkit.names import visible
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from motionkit.metrics.pairs import PairResult
     from motionkit.metrics.report import MetricReport, MetricRow
 
+LISTED_FILES = 60  # rows of the table of pairs
 # Columns of the table of pairs, with and without ground truth; other outputs have all metrics.
 _OF_EACH = {
     True: ("afs", "jerk", "ssim-window", "mpjpe", "path-mean"),
@@ -51,19 +53,6 @@ def _positive(flag: str, text: str, **default: float) -> Any:
 def _threshold(flag: str, text: str) -> Any:
     """An option for a field of MetricSettings."""
     return _positive(flag, text, default=getattr(MetricSettings, flag[2:].replace("-", "_")))
-
-
-def _settings(
-    floor: float | None,
-    foot_height: float,
-    toe_height: float,
-    skate_height: float,
-    skate_speed: float,
-    path_tolerance: float,
-) -> MetricSettings:
-    return MetricSettings(
-        foot_height, toe_height, skate_height, skate_speed, path_tolerance=path_tolerance, floor=floor
-    )
 
 
 @dataclass(frozen=True)
@@ -158,20 +147,20 @@ class Measuring:
 )
 @_threshold("--foot-height", "Height threshold H of the feet for afs, cm.")
 @_threshold("--toe-height", "Height threshold H of the toes for afs, cm.")
-@_threshold("--skate-height", "A toe below this height stands on the floor, cm.")
-@_threshold("--skate-speed", "A standing toe faster than this skates, cm/s.")
+@_threshold("--skate-height", "A toe below this height is planted, cm.")
+@_threshold("--skate-speed", "A planted toe faster than this skates, cm/s.")
 @_threshold("--path-tolerance", "A path point is covered within this distance, cm.")
 @_positive("--scale", "Centimetres per unit of GROUND_TRUTH; detected by default.")
 @_positive("--generated-scale", "Centimetres per unit of GENERATED; detected by default.")
 @_positive("--fps", "Frame rate of GROUND_TRUTH, if its header is wrong.")
 @_positive("--generated-fps", "Frame rate of GENERATED, if its header is wrong.")
 @animation_option
-@jobs_option
+@processes_option
 @view_option
 @clip_options
 @json_option
 @click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV, one row per metric.")
-@gathered("settings", _settings)
+@gathered("settings", MetricSettings)
 @gathered("measuring", Measuring)
 def command(
     ground_truth: Path | None,
@@ -205,14 +194,14 @@ def command(
     report = measuring.evaluate(ground_truth, generated)
     page = _view(ground_truth, generated, measuring.rates, as_json or as_csv) if view else None
     result = PairResult(ground_truth, generated, report)
-    read = {} if as_csv else read_again(ground_truth, generated)
     if as_json:
-        print_json({**result.as_dict(), "taken": taken_facts(read), **({"view": page} if page else {})})
+        print_json({**result.as_dict(), **({"view": page} if page else {})})
         return
     if as_csv:
         click.echo(csv_text([result]), nl=False)
     else:
-        _print_table(report, generated is not None, taken_lines(read))
+        clips = [ground_truth, *([generated] if generated else [])]
+        _print_table(report, generated is not None, input_lines(clips, report.read_as))
     if page:
         (remark if as_csv else say)(f"wrote {page}")
 
@@ -249,10 +238,10 @@ def _tell_many(
         for line in _tables([result for result in results if result.report], sets):
             stdout_console().print(line)
     failed = [result for result in results if result.report is None]
-    for result in failed:
-        remark(f"left out: {result.error}")
-    for path in lonely:
-        remark(f"left out: {path} has no partner of the same name")
+    faults = [(str(result.ground_truth), result.error) for result in failed]
+    faults += [(str(path), f"{path} has no partner of the same name") for path in lonely]
+    for line in lines_of_files(faults):
+        remark(f"left out: {line}")
     if failed or lonely:
         raise MotionkitError(
             f"{len(failed)} of {len(results)} not measured, {len(lonely)} files without a partner"
@@ -269,7 +258,9 @@ def _tables(measured: Sequence[PairResult], sets: Sequence[MetricRow]) -> Iterat
     paired = measured[0].generated is not None
     names = _OF_EACH[paired]
     values = [(r.name, [r.report.value(name) for name in names]) for r in measured if r.report]
-    yield make_table(("file", *names), [(name, *map(_number, row)) for name, row in values])
+    yield make_table(("file", *names), [(name, *map(_number, row)) for name, row in values[:LISTED_FILES]])
+    if len(values) > LISTED_FILES:
+        yield f"... and {len(values) - LISTED_FILES} more files; --json and --csv list all"
     yield ""
     yield f"means of {len(measured)} {'pairs' if paired else 'files'}, weighted equally:"
     columns = [
@@ -300,20 +291,20 @@ def _view(
     """Write a viewer page of the unchanged files to the current folder."""
     from motionkit.motion.bvh import bvh_to_motion
     from motionkit.rig.read_file import read_file
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
     files = [file for file in (ground_truth, generated) if file is not None]
     words = ("ground truth", "generated") if generated is not None else ("",)
-    shown = [
-        Shown(visible(f"{file.stem} {word}".strip()), bvh_to_motion(read_file(file), fps=rate))
+    views = [
+        MotionView(visible(f"{file.stem} {word}".strip()), bvh_to_motion(read_file(file), fps=rate))
         for file, word, rate in zip(files, words, fps, strict=False)
     ]
     page = default_output("-".join(file.stem for file in files), ".html")
-    Outputs((), page, quiet).show(lambda: shown)
+    Outputs((), page, quiet).show(lambda: views)
     return page
 
 
-def _print_table(report: MetricReport, paired: bool, taken: Iterable[str]) -> None:
+def _print_table(report: MetricReport, paired: bool, inputs: Iterable[str]) -> None:
     from motionkit.cli.console import make_table
 
     columns = ["metric", *(("ground truth", "generated", "ratio") if paired else ("value",)), "unit"]
@@ -328,7 +319,7 @@ def _print_table(report: MetricReport, paired: bool, taken: Iterable[str]) -> No
     console.print(make_table(columns, rows, (0, len(columns) - 1)))
     console.print()
     console.print(f"{report.frames} frames at {report.fps:g} fps")
-    for line in taken:
+    for line in inputs:
         console.print(line)
     for note in report.remarks():
         console.print(f"note: {note}")

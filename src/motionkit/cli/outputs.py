@@ -5,8 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ import click
 
 from motionkit.cli.common import PLACE, print_json, remark, stderr_console, stdout_console, together
 from motionkit.cli.showing import open_in_browser
-from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.errors import MotionkitError
 from motionkit.files import check_outputs, safe_name
 from motionkit.names import counted
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
     from motionkit.export.clip import Clip
     from motionkit.motion.motion import Motion
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
 FORMATS = (
     "bvh",
@@ -37,6 +36,7 @@ FORMATS = (
 )  # as in export.formats, which is slow to import
 ENDINGS = f"{', '.join(f'.{name}' for name in FORMATS[:-1])} or .{FORMATS[-1]}"
 STDOUT = Path("-")
+READ_AS = "motionkit.taken"  # in the meta of a command's context: how its clips were read
 
 view_option = click.option(
     "--view", is_flag=True, help="Also write a web page that plays the motion, and open it."
@@ -58,7 +58,7 @@ animation_options = together(
         "--replace",
         "alone",
         is_flag=True,
-        help="Leave out the animations that the user's .glb or .vrm has; by default they stay beside the new one.",
+        help="Remove the animations already in the .glb or .vrm; by default they stay beside the new one.",
     ),
 )
 
@@ -91,11 +91,7 @@ def clip_output_option(word: str, clip: str = "CLIP") -> Callable:
 def default_output(
     name: str, ending: str = ".bvh", files: Callable[[Path], Sequence[Path]] = lambda path: [path]
 ) -> Path:
-    """A file name in the current folder that is not taken yet.
-
-    Args:
-        files: lists the files that a name stands for; by default, one file of that name.
-    """
+    """A file name in the current folder that is not taken yet; `files` lists the files that a name stands for."""
     name = safe_name(name, 120)
     path = Path(f"{name}{ending}")
     number = 2
@@ -104,17 +100,8 @@ def default_output(
     return path
 
 
-@contextmanager
-def naming(clip: Path, kind: type[MotionkitError] = SkeletonError) -> Iterator[None]:
-    """Add the file's name to errors about its rig, because the library knows only the motion."""
-    try:
-        yield
-    except kind as error:
-        raise kind(f"{clip}: {error}") from None
-
-
 @dataclass(frozen=True)
-class Wanted:
+class OutputOptions:
     """The options -o, --view and --json, --name and --replace."""
 
     output: Path | None
@@ -126,7 +113,7 @@ class Wanted:
     def check(self, count: int = 1) -> None:
         """Raise UsageError for options that BVH on standard output excludes."""
         others = {"--view": self.view, "--json": self.as_json, f"--count {count}": count > 1}
-        for name in (name for name, given in others.items() if given and self.output == STDOUT):
+        for name in (name for name, used in others.items() if used and self.output == STDOUT):
             raise click.UsageError(f"{name} cannot be combined with -o -, which writes one motion")
 
     def files(
@@ -210,58 +197,52 @@ class Outputs:
                 shutil.copyfileobj(file, sys.stdout.buffer)
         sys.stdout.buffer.flush()
 
-    def show(self, shown: Callable[[], Sequence[Shown]]) -> None:
+    def show(self, views: Callable[[], Sequence[MotionView]]) -> None:
         """With --view, write the page of the motions and open it."""
         if self.page is None:
             return
         from motionkit.view.viewer import write_viewer
 
-        write_viewer(self.page, shown())
+        write_viewer(self.page, views())
         if not self.as_json:
             open_in_browser(self.page.resolve().as_uri())
 
-    def report(
-        self, facts: dict[str, Any], lines: Iterable[Any], read: Mapping[Path, Motion] | None = None
-    ) -> None:
+    def report(self, facts: dict[str, Any], lines: Iterable[Any], *read: tuple[Path, Motion]) -> None:
         """Print the result: the facts with --json, else the lines and tables; then the page. Says what was replaced.
 
-        Both end with what the clips that were read are taken to be.
+        Both end with how the clips were read: their files, and their motions as in the files.
         """
         if self.replaced:
             more = f" and {counted(len(self.replaced) - 1, 'other file')}" if len(self.replaced) > 1 else ""
             remark(f"replaced {self.replaced[0]}{more}")
+        words = [describe_input(motion) for _, motion in read]
         if self.as_json:
             page = {"view": self.page} if self.page else {}
-            print_json(facts | ({"taken": taken_facts(read)} if read else {}) | page)
+            read_as: Any = words[0] if len(words) == 1 else words
+            print_json(facts | ({"taken": read_as} if read else {}) | page)
             return
-        for line in (*lines, *taken_lines(read or {})):
+        for line in (*lines, *input_lines([clip for clip, _ in read], words)):
             self.console.print(line)
         if self.page:
             self.console.print(f"wrote {self.page}")
 
 
-def read_again(*clips: Path | None) -> dict[Path, Motion]:
-    """The motions of clips as they are in their files, for commands that work on other forms; None is left out."""
-    from motionkit.export.formats import read_motion
+def describe_input(motion: Motion) -> str:
+    """How a clip was read, in words; kept for the run of a folder (cli/folders.py)."""
+    from motionkit.rig.upright import describe_motion
 
-    return {clip: read_motion(clip) for clip in clips if clip is not None}
-
-
-def taken_facts(read: Mapping[Path, Motion]) -> str | list[str]:
-    """What the clips that a command read are taken to be, for JSON: of one its words, of several a list."""
-    from motionkit.rig.upright import taken
-
-    words = [taken(motion) for motion in read.values()]
-    return words[0] if len(words) == 1 else words
+    words = describe_motion(motion)
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.meta.setdefault(READ_AS, []).append(words)
+    return words
 
 
-def taken_lines(read: Mapping[Path, Motion]) -> list[str]:
-    """The same in lines; every command that takes clips prints them."""
-    from motionkit.rig.upright import taken
-
-    return [f"  {path.name}: {taken(motion)}" for path, motion in read.items()]
+def input_lines(clips: Iterable[Path], words: Sequence[str]) -> list[str]:
+    """How clips were read, in lines; every command that reads clips prints them."""
+    return [f"  {clip.name}: {text}" for clip, text in zip(clips, words, strict=True)]
 
 
-def shown_name(path: Path) -> str:
+def display_name(path: Path) -> str:
     """The name of an output file in messages."""
     return "standard output" if path == STDOUT else str(path)

@@ -139,15 +139,14 @@ def command(
         raise MotionkitError("play needs the package websockets: pip install 'motionkit[play]'") from None
     import asyncio
 
-    from motionkit.cli.main import tell_stopped
+    from motionkit.cli.main import print_stopped
     from motionkit.models.bundled import open_model
+    from motionkit.play.on_rig import with_rig, with_soles
     from motionkit.play.server import PlayServer, ServerOptions
     from motionkit.play.session import Session
 
-    model = open_model(model_path, reference)
+    model = with_soles(open_model(model_path, reference))
     if choice.rig is not None:
-        from motionkit.play.on_rig import with_rig
-
         model = with_rig(model, choice.rig)
         character = character or choice.rig.name
     session = Session(model, character or "default")
@@ -166,4 +165,4 @@ def command(
             asyncio.run(PlayServer(session, options).run(listening.ready))
         except KeyboardInterrupt:
             pass  # systems without signal handlers in the event loop
-    tell_stopped()
+    print_stopped()

@@ -15,24 +15,24 @@ from motionkit.cli.common import (
     FOLDER,
     Stages,
     animations_option,
+    input_options,
     json_option,
     labels_option,
+    lines_of_files,
     option,
     print_json,
+    processes_option,
     remark,
     stdout_console,
     switch,
-    taken_options,
 )
 from motionkit.cli.finite import FiniteRange
 from motionkit.errors import MotionkitError
-from motionkit.names import about
 
 if TYPE_CHECKING:
     from motionkit.data.preprocess import PreprocessReport
 
 LAYOUT_CHOICES = ("sixd-root-1", "expmap-root-1")
-SHOWN_SKIPS = 20  # skipped files that are listed by name
 
 
 @click.command("preprocess")
@@ -44,12 +44,7 @@ SHOWN_SKIPS = 20  # skipped files that are listed by name
 )
 @click.option("--fps", type=FiniteRange(1, 1000), help="Frame rate of the files, if their headers are wrong.")
 @click.option("--scale", type=FiniteRange(1e-4, 1e4), help="Centimetres per file unit; detected by default.")
-@click.option(
-    "--jobs",
-    default=0,
-    type=click.IntRange(0, 256),
-    help="Number of processes; 0 chooses it by cores and files.",
-)
+@processes_option
 @switch("--mirror/--no-mirror", "Add the mirror image of each clip.")
 @click.option(
     "--own-bodies", is_flag=True, help="Keep each performer's bone lengths instead of one body for all."
@@ -61,30 +56,30 @@ SHOWN_SKIPS = 20  # skipped files that are listed by name
     help="Version of the 276 features; the preset tptn-paper needs expmap-root-1.",
 )
 @animations_option
-@taken_options
+@input_options
 @switch("--smooth/--raw", "Filter out marker jitter (7 Hz low-pass), or keep the recorded rotations.")
 @switch(
     "--level/--no-level",
-    "Take out the tilt of the floor that the standing feet of a performer's clips show, up to 4 cm a metre; "
+    "Level the floor where the standing feet of a performer's clips show a tilt, up to 4 cm a metre; "
     "--raw leaves it.",
 )
 @option(
     "--references",
     default="bundled",
     metavar="MODEL|own",
-    help="Model file whose reference rotations the features are relative to, so that training can begin from it; "
-    "own takes the mean rotations of the data.",
+    help="Model file whose reference rotations the features use, so that training can start from it; own uses the "
+    "mean rotations of the data.",
 )
 @click.option(
-    "--strict", is_flag=True, help="Stop at the first file that cannot be used; settle no fault of a file."
+    "--strict", is_flag=True, help="Stop at the first file that cannot be used; repair no fault of a file."
 )
 @switch(
     "--validation/--no-validation",
-    "Hold out a tenth of the training files, of types with at least four, to choose settings by.",
+    "Hold out a tenth of the training files for choosing settings, for types with at least four files.",
 )
 @switch(
     "--test/--no-test",
-    "Hold out about a sixth of the clips of each type to evaluate on, or its mirror image if it has one clip.",
+    "Hold out about a sixth of the clips of each type for testing; of a single clip, its mirror image.",
 )
 @json_option
 def command(
@@ -106,7 +101,7 @@ def command(
     from motionkit.api import preprocess
     from motionkit.data.options import PreprocessOptions
 
-    held_out = tuple(name for name, asked in (("validation", validation), ("test", test)) if asked)
+    held_out = tuple(name for name, held in (("validation", validation), ("test", test)) if held)
     with Stages() as show:
         chosen = PreprocessOptions(**options, held_out=held_out)
         report = preprocess(data, output, chosen, show, references=references)
@@ -158,11 +153,8 @@ def _print(report: PreprocessReport) -> None:
     )
     for line in _lines(report):
         out.print(line)
-    skipped = [file for file in report.files if file.skipped]
-    for file in skipped[:SHOWN_SKIPS]:
-        remark(f"skipped {about(file.name, file.skipped)}")
-    if len(skipped) > SHOWN_SKIPS:
-        remark(f"... and {len(skipped) - SHOWN_SKIPS} more; --json lists all")
+    for line in lines_of_files([(file.name, file.skipped) for file in report.files if file.skipped]):
+        remark(f"skipped {line}")
 
 
 def _lines(report: PreprocessReport) -> Iterator[str]:
@@ -185,8 +177,5 @@ def _lines(report: PreprocessReport) -> Iterator[str]:
         f"{sum(file.leaps for file in used)} leaps cut out, floor moved in {len(moved)} files, "
         f"levelled in {len(slopes)}{steepest}"
     )
-    noted = [note for file in used for note in file.notes]
-    yield from noted[:SHOWN_SKIPS]
-    if len(noted) > SHOWN_SKIPS:
-        yield f"... and {len(noted) - SHOWN_SKIPS} more notes; --json lists all"
+    yield from lines_of_files([(file.name, note) for file in used for note in file.notes])
     yield f"files: {len(used)} used, {len(report.files) - len(used)} skipped"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,39 +27,11 @@ from motionkit.cli.common import (
 )
 from motionkit.cli.finite import FiniteRange
 from motionkit.errors import OverwriteError
+from motionkit.first_model import QuickstartOptions
 
 if TYPE_CHECKING:
     from motionkit.first_model import QuickstartResult
     from motionkit.training.options import TrainOptions
-
-
-@dataclass(frozen=True)
-class Asked:
-    """The options of a quickstart; all but the last are fields of first_model.QuickstartOptions."""
-
-    minutes: float | None
-    steps: int | None
-    add: bool
-    mirror: bool
-    force: bool
-    resume: bool
-    device: str
-    seed: int
-    as_json: bool
-
-    def again(self, data: Path, output: Path | None, way: str) -> str:
-        """The command that continues the run."""
-        given: dict[str, object] = {
-            "-o": output,
-            "--minutes": self.minutes,
-            "--steps": self.steps,
-            "--seed": self.seed or None,
-        }
-        given["--device"] = None if self.device == "auto" else self.device
-        flags = {"--add": self.add, "--no-mirror": not self.mirror, "--json": self.as_json}
-        words = ["motionkit", "quickstart", str(data)]
-        words += [word for name, value in given.items() if value is not None for word in (name, str(value))]
-        return shlex.join([*words, *(name for name, chosen in flags.items() if chosen), way])
 
 
 @click.command("quickstart")
@@ -70,60 +43,72 @@ class Asked:
     help="Output folder; by default DATA with -model added to its name.",
 )
 @click.option("--minutes", type=FiniteRange(min=0.01), help="Training time in minutes; 5 by default.")
-@click.option("--steps", type=click.IntRange(min=1), help="Number of training steps instead.")
+@click.option("--steps", type=click.IntRange(min=1), help="Number of training steps, instead of --minutes.")
 @click.option("--add", is_flag=True, help="Also keep the types of the bundled model.")
 @switch(
     "--mirror/--no-mirror",
     "Also learn from the mirror image of each clip; --no-mirror keeps kicks of one leg to that leg.",
 )
-@click.option("--force", is_flag=True, help="Begin anew, and replace what is in the output folder.")
+@click.option("--force", is_flag=True, help="Start again, and replace what is in the output folder.")
 @click.option(
     "--resume",
     is_flag=True,
-    help="Go on where an earlier quickstart stopped, with the dataset, the checkpoint or the model that it has made.",
+    help="Continue where an earlier quickstart stopped, with the dataset, checkpoint or model it has made.",
 )
 @option("--device", default="auto", help="Device to train on: auto, cpu, cuda ...")
-@seed_option()
+@seed_option
 @json_option
-@gathered("asked", Asked)
-def command(data: Path, output: Path | None, asked: Asked) -> None:
+@gathered("options", QuickstartOptions)
+def command(data: Path, output: Path | None, options: QuickstartOptions, as_json: bool) -> None:
     """Train a model on the clips in the folder DATA, and say whether each of its types works.
 
-    Runs doctor, preprocess, train, synthesize, view and evaluate --quick in turn. The output folder then holds the
-    dataset, model.safetensors, motions.html (a page that plays every type), motions.png (the same as a sheet,
-    with Pillow) and verdict.md. Types are folder and file names, or those of a labels.csv. After Ctrl-C, the same
-    command with --resume goes on at any stage.
+    Runs doctor, preprocess, train, synthesize, view and evaluate --quick in turn. The output folder then holds
+    the dataset, model.safetensors, motions.html (a page that plays every type), motions.png (the same as a
+    sheet, with Pillow) and verdict.md. Types are folder and file names, or those of a labels.csv. After
+    Ctrl-C, the same command with --resume continues at any stage.
     """
     from motionkit import first_model
-    from motionkit.cli.main import tell_stopped
+    from motionkit.cli.main import print_stopped
     from motionkit.cli.training_monitor import TrainingMonitor
 
-    if asked.force and asked.resume:
+    if options.force and options.resume:
         raise click.UsageError("--resume cannot be combined with --force")
     begun = first_model.begun(output or first_model.output_folder(data))
-    if begun is not None and not (asked.force or asked.resume):
-        again = asked.again(data, output, "--resume")
-        raise OverwriteError(f"{begun}: exists; go on with: {again}, or overwrite it with --force")
-    chosen = {name: value for name, value in asdict(asked).items() if name != "as_json"}
+    again = partial(_again, data, output, options, as_json)
+    if begun is not None and not (options.force or options.resume):
+        raise OverwriteError(
+            f"{begun}: exists; go on with: {again('--resume')}, or overwrite it with --force"
+        )
     with Stages() as show:
 
         def tell(line: str) -> None:
             show.close()
             remark(line)
 
-        def training(options: TrainOptions, samples: Path) -> TrainingMonitor:
+        def training(training_options: TrainOptions, samples: Path) -> TrainingMonitor:
             show.close()
-            return TrainingMonitor(asked.as_json, options, None, samples, losses=False)
+            return TrainingMonitor(as_json, training_options, None, samples, losses=False)
 
         watcher = first_model.Watcher(tell, show, training)
         try:
-            result = first_model.quickstart(data, output, first_model.QuickstartOptions(**chosen), watcher)
+            result = first_model.quickstart(data, output, options, watcher)
         except first_model.QuickstartStopped as stop:
-            if not stop.told:
-                tell_stopped()
-            remark(f"go on with: {asked.again(data, output, '--resume' if stop.resumes else '--force')}")
+            if not stop.reported:
+                print_stopped()
+            remark(f"go on with: {again('--resume' if stop.resumes else '--force')}")
             sys.exit(STOPPED)
-    _tell(result, asked.as_json)
+    _tell(result, as_json)
+
+
+def _again(data: Path, output: Path | None, options: QuickstartOptions, as_json: bool, flag: str) -> str:
+    """The command that continues the run."""
+    device = None if options.device == "auto" else options.device
+    typed: dict[str, Any] = {"-o": output, "--minutes": options.minutes, "--steps": options.steps}
+    typed |= {"--seed": options.seed or None, "--device": device}
+    flags = {"--add": options.add, "--no-mirror": not options.mirror, "--json": as_json}
+    words = ["motionkit", "quickstart", str(data)]
+    words += [word for name, value in typed.items() if value is not None for word in (name, str(value))]
+    return shlex.join([*words, *(name for name, chosen in flags.items() if chosen), flag])
 
 
 def _tell(result: QuickstartResult, as_json: bool) -> None:
@@ -150,5 +135,5 @@ def _tell(result: QuickstartResult, as_json: bool) -> None:
     say(f"{good} of {len(verdicts)} types work; wrote {result.model}, {made}, {VERDICT}")
     names = [v.type for v in verdicts if v.works] or [v.type for v in verdicts if v.rollouts]
     if names:
-        asked = ["--model", str(result.model), "--types", ",".join(names[:2]), "--view"]
-        say(f"try: {shlex.join(['motionkit', 'synthesize', *asked])}")
+        arguments = ["--model", str(result.model), "--types", ",".join(names[:2]), "--view"]
+        say(f"try: {shlex.join(['motionkit', 'synthesize', *arguments])}")

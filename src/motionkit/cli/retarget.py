@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +16,11 @@ from motionkit.cli.common import (
     FILE,
     UPS,
     animation_option,
+    fps_option,
     gathered,
-    given_cm,
-    given_up,
     json_option,
+    parse_cm,
+    parse_up,
     print_json,
     remark,
     stdout_console,
@@ -29,11 +30,10 @@ from motionkit.cli.common import (
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.folders import folders
 from motionkit.cli.outputs import (
-    Wanted,
+    OutputOptions,
     animation_options,
     clip_output_option,
-    read_again,
-    shown_name,
+    display_name,
     view_option,
 )
 from motionkit.cli.rig_options import (
@@ -46,26 +46,27 @@ from motionkit.cli.rig_options import (
     rest_options,
     rig_option,
 )
-from motionkit.errors import SkeletonError
+from motionkit.errors import SkeletonError, naming
 from motionkit.names import counted
 from motionkit.reading import reading
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from motionkit.motion.bvh import BvhFile
     from motionkit.motion.motion import Motion
     from motionkit.rig.retarget import RetargetReport
     from motionkit.rig.rig import Rig
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
-_SHOWN_OTHERS = 12  # joints without a canonical joint that are listed
+_LISTED_OTHERS = 12  # joints without a canonical joint that are listed
 _SURE = 0.9  # if any joint is less certain than this, or missing, the whole bone map is shown
 _EXPECTED = ("Hips", "Neck", "Head", "Arm", "Hand", "Leg", "Foot", "ToeBase")
 
 
 @dataclass(frozen=True)
 class Rigs:
-    """The files that describe the rigs of SOURCE and of the result, and what is taken of SOURCE."""
+    """The files that describe the rigs of SOURCE and of the result, and how SOURCE is read."""
 
     rig_path: Path | None
     map_path: Path | None
@@ -77,6 +78,7 @@ class Rigs:
     rest_frame: bool
     up: str | None
     unit: float | None
+    scale: float | None
 
     @property
     def name(self) -> str:
@@ -87,29 +89,29 @@ class Rigs:
         """Read the target rig."""
         return open_rig(self.rig_path, self.map_path, self.clip_path)
 
-    def read(
-        self, source: Path, target: Rig | None, scale: float | None
-    ) -> tuple[Motion, RetargetReport, Rig | None]:
-        """The motion of SOURCE, the report on it, and its rig if the options give one."""
-        from motionkit.rig.on_rig import read_motion, read_on_any_rig, read_rig
-
-        with self.reading():
-            if self.source_rig is not None or self.source_map is not None:
-                known = read_rig(self.source_rig or source, self.source_map)
-                return (*read_motion(source, known, scale), known)
-            return (*read_on_any_rig(source, target, scale), None)
-
     def reading(self) -> AbstractContextManager[None]:
         """Read with what the user says of SOURCE."""
-        return reading(up=self.up, cm=self.unit)
+        return reading(up=self.up, cm=self.scale or self.unit)
 
-    def shown(self, source: Path) -> Shown:
-        """SOURCE as it is, to look at."""
+    def canonical(
+        self, source: Path, bvh: BvhFile, target: Rig | None
+    ) -> tuple[Motion, RetargetReport, Rig | None]:
+        """The canonical motion of SOURCE, the report on it, and its rig if the options give one."""
+        from motionkit.rig.on_rig import canonical_for, canonical_on_floor, read_rig
+
+        known = None
+        if self.source_rig is not None or self.source_map is not None:
+            known = read_rig(self.source_rig or source, self.source_map)
+        with naming(source):
+            return (*(canonical_on_floor(bvh, known) if known else canonical_for(bvh, target)), known)
+
+    def source_view(self, source: Path, motion: Motion) -> MotionView:
+        """The motion of SOURCE as it is, to look at."""
         from motionkit.rig.upright import in_metres
-        from motionkit.view.figure_data import Shown
+        from motionkit.view.figure_data import MotionView
 
         with self.reading():
-            return Shown(source.stem, in_metres(read_again(source)[source]).motion)
+            return MotionView(source.stem, in_metres(motion).motion)
 
     def save(self, rig: Rig | None, source: Path) -> list[str]:
         """Write the bone map of a rig to --save-map, by default that of SOURCE; returns the lines to print."""
@@ -133,7 +135,7 @@ class Rigs:
 @click.option(
     "--save-map",
     type=FILE,
-    help="Write the bone map of the --rig (of SOURCE without --rig) as JSON, to edit and to give as --map.",
+    help="Write the bone map of the --rig (of SOURCE without --rig) as JSON, to edit and pass as --map.",
 )
 @click.option(
     "--source-rig",
@@ -143,23 +145,19 @@ class Rigs:
 @click.option(
     "--source-map", type=EXISTING_FILE, help="Bone map of SOURCE; found by names and shape by default."
 )
-@click.option("--up", type=UPS, callback=given_up, help="Axis of SOURCE that points up; found by default.")
+@click.option("--up", type=UPS, callback=parse_up, help="Axis of SOURCE that points up; found by default.")
 @click.option(
     "--unit",
-    callback=given_cm,
+    callback=parse_cm,
     help="Unit of SOURCE: cm, m, mm, dm, inches, or the centimetres per unit; found by default.",
 )
 @click.option(
     "--scale", type=FiniteRange(1e-4, 1e4), help="Centimetres per unit of SOURCE; detected by default."
 )
-@click.option(
-    "--fps",
-    type=FiniteRange(1, 480),
-    help="Frame rate to write; that of SOURCE by default, or what the built-in rig's readers expect.",
-)
+@fps_option("Frame rate to write; that of SOURCE by default, or what the built-in rig's readers expect.")
 @switch(
     "--ik/--no-ik",
-    "Put the feet of the rig on the floor and hold them where those of SOURCE stand; --no-ik copies the pose.",
+    "Put the feet of the rig on the floor and lock them where those of SOURCE stand; --no-ik copies the pose.",
 )
 @rest_options
 @animation_options
@@ -168,26 +166,32 @@ class Rigs:
 @json_option
 @folders("source", "output")
 @gathered("rigs", Rigs)
-@gathered("wanted", Wanted)
+@gathered("output_options", OutputOptions)
 def command(
-    source: Path | None, rigs: Rigs, scale: float | None, fps: float | None, ik: bool, wanted: Wanted
+    source: Path | None, rigs: Rigs, fps: float | None, ik: bool, output_options: OutputOptions
 ) -> None:
     """Write the motion of SOURCE, a clip of any human rig, on the rig of another file.
 
     Without --rig, the motion is written on the 23 canonical joints. Without SOURCE, the command shows how it
-    understands the --rig: which joint is which, how sure that is, and what is unusual.
+    understands the --rig: which joint is which, how certain that is, and what is unusual.
     """
-    wanted.check()
+    output_options.check()
     if source is None:
-        if wanted.output is not None:
+        if output_options.output is not None:
             raise click.UsageError("-o needs SOURCE, the file to retarget")
-        _inspect(rigs, wanted.as_json)
+        _inspect(rigs, output_options.as_json)
         return
     choice = rigs.open()
     inputs = (source, rigs.source_rig, rigs.source_map, *choice.files)
     also = [rigs.save_map] if rigs.save_map else []
-    outputs = wanted.files(f"{source.stem}-on-{rigs.name}", inputs, also=also)
-    motion, report, known = rigs.read(source, choice.rig, scale)
+    outputs = output_options.files(f"{source.stem}-on-{rigs.name}", inputs, also=also)
+    from motionkit.motion.bvh import bvh_to_motion
+    from motionkit.rig.read_file import read_file
+    from motionkit.view.figure_data import MotionView
+
+    with rigs.reading():
+        bvh = read_file(source)
+        motion, report, known = rigs.canonical(source, bvh, choice.rig)
     if fps or choice.fps:
         from motionkit.motion.motion import resample
 
@@ -197,24 +201,28 @@ def command(
     )
     outputs.write(choice.clip_of(made, outputs.file.stem))
     saved = rigs.save(choice.rig or known, source)
-    from motionkit.view.figure_data import Shown
-
-    outputs.show(lambda: [rigs.shown(source), Shown(outputs.file.stem, made, character=choice.character)])
+    in_file = bvh_to_motion(bvh)
     facts = {
         "file": outputs.file,
         "frames": len(made),
         "fps": motion.fps,
         "source": {"joints": report.source_joints, "scale": report.scale, "notes": report.notes},
-        "rig": None if choice.rig is None else rig_told(choice.rig),
+        "rig": None if choice.rig is None else rig_facts(choice.rig),
     }
     rig = choice.rig
     on = "the canonical joints" if rig is None else f"{rig.name}, {len(rig.skeleton)} joints"
-    wrote = f"wrote {shown_name(outputs.file)}: {len(made)} frames at {motion.fps:g} fps on {on}"
-    if not wanted.as_json:
+    wrote = f"wrote {display_name(outputs.file)}: {len(made)} frames at {motion.fps:g} fps on {on}"
+    if not output_options.as_json:
         for note in report.notes:
             remark(f"{source.name}: {note}")
+    outputs.show(
+        lambda: [
+            rigs.source_view(source, in_file),
+            MotionView(outputs.file.stem, made, character=choice.character),
+        ]
+    )
     with rigs.reading():
-        outputs.report(facts, [wrote, *(_rig_lines(rig) if rig else ()), *saved], read_again(source))
+        outputs.report(facts, [wrote, *(_rig_lines(rig) if rig else ()), *saved], (source, in_file))
 
 
 def _inspect(rigs: Rigs, as_json: bool) -> None:
@@ -226,7 +234,7 @@ def _inspect(rigs: Rigs, as_json: bool) -> None:
     if rigs.save_map:
         check_outputs([rigs.save_map], [rigs.rig_path, rigs.map_path])
     try:
-        rig = open_rig(rigs.rig_path, rigs.map_path, None).rig
+        rig = open_rig(rigs.rig_path, rigs.map_path).rig
         assert rig is not None
         saved = rigs.save(rig, rigs.rig_path)
     except SkeletonError:
@@ -234,7 +242,7 @@ def _inspect(rigs: Rigs, as_json: bool) -> None:
             raise
         rig, saved = _save_exchanged(rigs.rig_path, rigs.save_map)
     if as_json:
-        print_json(rig_told(rig))
+        print_json(rig_facts(rig))
         return
     for line in (*_whole_rig(rig), *saved):
         stdout_console().print(line)
@@ -251,15 +259,9 @@ def _save_exchanged(rig_path: Path, save_map: Path) -> tuple[Rig, list[str]]:
     from motionkit.rig.read_file import read_file
 
     skeleton = read_file(rig_path).skeleton
-    found = map_rig(skeleton)
-    sides = {"Left": "Right", "Right": "Left"}
-    exchanged = {
-        next((sides[side] + name.removeprefix(side) for side in sides if name.startswith(side)), name): joint
-        for name, joint in found.places.items()
-    }
-    write_rig_map(save_map, skeleton, replace(found, places=exchanged))
+    write_rig_map(save_map, skeleton, map_rig(skeleton).with_sides_exchanged())
     try:
-        rig = open_rig(rig_path, save_map, None).rig
+        rig = open_rig(rig_path, save_map).rig
     except SkeletonError:
         save_map.unlink()
         raise
@@ -269,7 +271,7 @@ def _save_exchanged(rig_path: Path, save_map: Path) -> tuple[Rig, list[str]]:
     ]
 
 
-def rig_told(rig: Rig) -> dict[str, Any]:
+def rig_facts(rig: Rig) -> dict[str, Any]:
     """Facts about a rig for JSON: the canonical joint of each joint, and how it was found."""
     names = {joint: name for name, joint in rig.joints.places.items()}
     return {
@@ -287,8 +289,8 @@ def rig_told(rig: Rig) -> dict[str, Any]:
 def _rig_lines(rig: Rig) -> Iterator[str | Table]:
     """The bone map of a rig in one line; the whole map if a joint is uncertain or missing."""
     joints = rig.joints
-    ways = sorted({joints.found(name) for name in joints.places})
-    guessed = not {"shape", "place"}.isdisjoint(ways)
+    sources = sorted({joints.found(name) for name in joints.places})
+    guessed = not {"shape", "place"}.isdisjoint(sources)
     unsure = guessed or any(joints.sure(name) < _SURE for name in joints.places)
     if unsure or any(name.endswith(_EXPECTED) for name in joints.missing()):
         yield from _whole_rig(rig)
@@ -297,7 +299,7 @@ def _rig_lines(rig: Rig) -> Iterator[str | Table]:
     missing = f"; not on this rig: {', '.join(joints.missing())}" if joints.missing() else ""
     others = len(rig.skeleton) - count
     more = f"; {counted(others, 'other joint')}" if others else ""
-    yield f"{rig.name}: {count} canonical joints found by {' and '.join(ways)}{missing}{more}"
+    yield f"{rig.name}: {count} canonical joints found by {' and '.join(sources)}{missing}{more}"
     yield from rig.notes
 
 
@@ -316,6 +318,6 @@ def _whole_rig(rig: Rig) -> Iterator[str | Table]:
         yield f"not on this rig: {', '.join(rig.joints.missing())}"
     others = [name for j, name in enumerate(rig.skeleton.names) if j not in rig.joints.places.values()]
     if others:
-        more = f" and {len(others) - _SHOWN_OTHERS} more" if len(others) > _SHOWN_OTHERS else ""
-        yield f"{counted(len(others), 'other joint')}: {', '.join(others[:_SHOWN_OTHERS])}{more}"
+        more = f" and {len(others) - _LISTED_OTHERS} more" if len(others) > _LISTED_OTHERS else ""
+        yield f"{counted(len(others), 'other joint')}: {', '.join(others[:_LISTED_OTHERS])}{more}"
     yield from rig.notes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import EXISTING_FILE, gathered, option, say, strict_option, together
+from motionkit.cli.common import EXISTING_FILE, eager_option, gathered, option, say, strict_option, together
 from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
@@ -34,9 +34,9 @@ class _RigFile(click.Path):
 
 def _list_rigs(context: click.Context, parameter: click.Parameter, value: bool) -> None:
     if value:
-        from motionkit.rig.built_in import told_rigs
+        from motionkit.rig.built_in import rig_lines
 
-        for line in told_rigs():
+        for line in rig_lines():
             say(line)
         context.exit()
 
@@ -48,17 +48,10 @@ rig_option = together(
         "rig_path",
         type=RIG_FILE,
         help="Write the motion on the rig of this file (.bvh, .glb, .vrm, .fbx, .asf): same joints, names, rest pose, "
-        "channels, unit and axes; by default on the 23 canonical joints. From .glb, .vrm and .fbx to such a file, the "
-        "whole character is kept. @NAME is a built-in rig, such as @mixamo.",
+        "channels, unit and axes; by default on the 23 canonical joints. A .glb, .vrm or .fbx written to one of these "
+        "formats keeps the whole character. @NAME is a built-in rig, such as @mixamo.",
     ),
-    click.option(
-        "--list-rigs",
-        is_flag=True,
-        is_eager=True,
-        expose_value=False,
-        callback=_list_rigs,
-        help="List the built-in rigs.",
-    ),
+    eager_option("--list-rigs", is_flag=True, callback=_list_rigs, help="List the built-in rigs."),
 )
 map_option = click.option(
     "--map",
@@ -71,16 +64,16 @@ clip_option = click.option(
     "--from",
     "clip_path",
     type=EXISTING_FILE,
-    help="Clip of the --rig: its joints that motionkit does not know (fingers, props) move as they do there; in "
-    "their rest pose by default.",
+    help="Clip of the --rig that moves the joints motionkit does not know (fingers, props); by default they keep "
+    "their rest pose.",
 )
 rest_options = together(
     option(
         "--rest",
         type=click.Choice(["file", "tpose", "apose"]),
         default="file",
-        help="Rest pose of the joints that are written: that of the rig or clip, a T-pose, or an A-pose with arms 45 "
-        "degrees down; they move the same. A .glb or .vrm that the motion is added to keeps its own.",
+        help="Rest pose to write: that of the rig or clip, a T-pose, or an A-pose with arms 45 degrees down; the "
+        "motion stays the same. A .glb or .vrm that the motion is added to keeps its own.",
     ),
     click.option(
         "--rest-frame",
@@ -94,7 +87,8 @@ root_options = together(
         "--root",
         type=click.Choice(["hips", "ground"]),
         default="hips",
-        help="Joint with the root motion: the hips, or a new root joint on the ground below them, as engines expect.",
+        help="Joint that carries the root motion: the hips, or a new root joint on the ground below them, as engines "
+        "expect.",
     ),
     rest_options,
 )
@@ -135,14 +129,14 @@ class RigChoice:
         rig: the rig, or None.
         clip: motion of the rig from --from, or None.
         files: the files that were read.
-        way: how root motion is written.
+        root_motion: how root motion is written.
         fps: frame rate that readers of the rig expect, if they expect one.
     """
 
     rig: Rig | None = None
     clip: Motion | None = None
     files: tuple[Path, ...] = ()
-    way: RootMotion = RootMotion()
+    root_motion: RootMotion = RootMotion()
     fps: float | None = None
 
     @property
@@ -179,10 +173,10 @@ class RigChoice:
         """
         made = self.on_rig(motion, ik, drawn)
         if self.rig is None:
-            return self.way.applied(made, cyclic), motion
+            return self.root_motion.applied(made, cyclic), motion
         from motionkit.rig.on_rig import from_rig
 
-        return self.way.applied(made, cyclic, self.rig), from_rig(made, self.rig)
+        return self.root_motion.applied(made, cyclic, self.rig), from_rig(made, self.rig)
 
     def clip_of(self, motion: Motion, name: str, types: Sequence[tuple[str, float]] = ()) -> Clip:
         """The clip to write for a motion from put; the file gets what the rig's file has besides motion."""
@@ -191,7 +185,7 @@ class RigChoice:
         return Clip(motion, name, types) if self.rig is None else rig_clip(motion, self.rig, name, types)
 
 
-def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | None) -> RigChoice:
+def open_rig(rig_path: Path | None, map_path: Path | None = None, clip_path: Path | None = None) -> RigChoice:
     """Read the rig of the options; raises UsageError for --map or --from without --rig."""
     for name, path in (("--map", map_path), ("--from", clip_path)):
         if path is not None and rig_path is None:
@@ -226,7 +220,7 @@ def open_written(
                 f"--root ground adds a joint, and --rig keeps those of its file; {choice.rig.name} has no root bone "
                 "(root, reference) above its hips"
             )
-    return replace(choice, way=RootMotion(in_place, root, rest, rest_frame))
+    return replace(choice, root_motion=RootMotion(in_place, root, rest, rest_frame))
 
 
 rig_options = together(rig_option, map_option, clip_option, strict_option, gathered("choice", open_rig))

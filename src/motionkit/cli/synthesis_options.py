@@ -11,6 +11,7 @@ import click
 
 from motionkit.cli.common import (
     EXISTING_FILE,
+    fps_option,
     gathered,
     json_option,
     model_option,
@@ -22,7 +23,7 @@ from motionkit.cli.common import (
     together,
 )
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Wanted, animation_options, view_option
+from motionkit.cli.outputs import OutputOptions, animation_options, view_option
 from motionkit.cli.rig_options import RigChoice, open_written, written_options
 
 if TYPE_CHECKING:
@@ -30,9 +31,10 @@ if TYPE_CHECKING:
     from motionkit.inference.noise import Noise
     from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
+    from motionkit.rig.rig import Rig
 
-UNSEEN_DEPTH = 1.0  # cm below the height of standing feet that nobody sees
-SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean", "penetration-max")
+UNSEEN_DEPTH = 1.0  # cm below the floor, or the height of standing feet, that nobody sees
+PRINTED_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean", "penetration-max")
 LONG_SECONDS = 900.0  # seconds of motion; a command announces longer jobs before they begin
 
 
@@ -85,7 +87,7 @@ reference_option = option(
     "--reference",
     default="auto",
     type=click.Choice(["auto", "none"]),
-    help="auto plays reference recordings to the network for types that have them; none runs it without.",
+    help="Reference recordings: auto follows them in types that have them; none runs the network without.",
 )
 
 
@@ -130,7 +132,7 @@ class Making:
 
 synthesis_options: Callable = together(
     model_option,
-    seed_option(),
+    seed_option,
     option(
         "--character",
         default="default",
@@ -139,24 +141,20 @@ synthesis_options: Callable = together(
     click.option(
         "--init",
         type=EXISTING_FILE,
-        help="Start from the first frames of this clip; from a pose in the model by default.",
+        help="Continue from the first 87 frames of this clip; by default the motion starts from a pose in the model.",
     ),
     named_animation_option("Animation of the --init or --from file, if that is a .glb or .vrm with several."),
     noise_options,
     reference_option,
-    switch("--ik/--no-ik", "Hold feet while they touch the floor; --no-ik writes the raw network output."),
-    click.option(
-        "--fps",
-        type=FiniteRange(1, 480),
-        help="Frame rate of the file; the model's 60 by default, and 30 with --rig @lafan1.",
-    ),
+    switch("--ik/--no-ik", "Lock feet while they touch the floor; --no-ik writes the raw network output."),
+    fps_option("Frame rate of the file; the model's 60 by default, and 30 with --rig @lafan1."),
     written_options,
     animation_options,
     view_option,
     json_option,
     gathered("choice", open_written),
     gathered("making", Making),
-    gathered("wanted", Wanted),
+    gathered("output_options", OutputOptions),
 )
 
 
@@ -172,13 +170,16 @@ def announce(seconds: float, model_fps: float, options: SynthesisOptions) -> Non
     remark(f"making {each}{hours} of motion, which can take minutes; Ctrl-C stops")
 
 
-def motion_metrics(motion: Motion) -> dict[str, Any]:
-    """Metrics of a synthesized motion: metric id to value and unit."""
+def motion_metrics(motion: Motion, rig: Rig | None) -> dict[str, Any]:
+    """Metrics of a motion on the canonical joints: metric id to value and unit; the depth of a rig's soles too."""
+    from motionkit.finish.on_rig import rig_sole_depth
     from motionkit.metrics.report import evaluate_motion
 
     report = evaluate_motion(motion)
     rows = {row.id: row.motion for row in report.rows}
-    return {i: {"value": rows[i].value, "unit": rows[i].unit} for i in SHOWN_METRICS if i in rows}
+    made = {i: {"value": rows[i].value, "unit": rows[i].unit} for i in PRINTED_METRICS if i in rows}
+    depth = None if rig is None else rig_sole_depth(motion, rig)
+    return made if depth is None else made | {"sole-depth": {"value": depth, "unit": "cm"}}
 
 
 def metrics_line(metrics: dict[str, Any]) -> str:
@@ -186,7 +187,8 @@ def metrics_line(metrics: dict[str, Any]) -> str:
     from motionkit.metrics.report import SLIDING
 
     words = []
-    slides, deep = (metrics.get(name, {}).get("value") for name in ("skate-ratio", "penetration-max"))
+    floor = "sole-depth" if "sole-depth" in metrics else "penetration-max"
+    slides, deep = (metrics.get(name, {}).get("value") for name in ("skate-ratio", floor))
     if slides is not None:
         words.append(SLIDING.format(100 * slides))
     if deep is not None:

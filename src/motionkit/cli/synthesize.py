@@ -18,7 +18,7 @@ from motionkit.cli.common import (
     strict_option,
 )
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.outputs import Outputs, Wanted, output_option, shown_name
+from motionkit.cli.outputs import OutputOptions, Outputs, display_name, output_option
 from motionkit.cli.synthesis_options import (
     Making,
     SynthesisCommand,
@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from motionkit.control.synthesize import SynthesisResult
     from motionkit.editing.loop import Loop
     from motionkit.requests import SynthesisRequest
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
 
 @click.command("synthesize", cls=SynthesisCommand)
 @click.option(
     "--types",
     multiple=True,
-    help="Motion types in order, such as running,cartwheel or running:4,cartwheel:3 (seconds). "
-    "Repeat it to give the characters of --count different types, in turn.",
+    help="Motion types in order, such as running,cartwheel or running:4,cartwheel:3 (seconds). Repeat it to give the "
+    "characters of --count different types, in turn.",
 )
 @click.option("--list-types", is_flag=True, help="List the model's motion types and characters.")
 @output_option("File to write; a BVH file named after the types by default")
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     "--loop",
     "loops",
     is_flag=True,
-    help="Write one closed cycle of a gait or dance, of about --seconds, from the origin, facing +Z.",
+    help="Write one closed cycle of a gait or dance, about --seconds long, from the origin, facing +Z.",
 )
 @click.option(
     "--keys",
@@ -77,7 +77,7 @@ def command(
     loops: bool,
     keys_file: Path | None,
     making: Making,
-    wanted: Wanted,
+    output_options: OutputOptions,
 ) -> None:
     """Synthesize motion types in sequence and write BVH or another format.
 
@@ -85,9 +85,9 @@ def command(
     same file; --count N --seed S gives the files of seeds S to S+N-1.
     """
     if list_types:
-        _list(making.model_path, wanted.as_json)
+        _list(making.model_path, output_options.as_json)
         return
-    _check(types, count, loops, keys_file, making, wanted)
+    _check(types, count, loops, keys_file, making, output_options)
     from motionkit.editing.loop import loop_seconds
     from motionkit.requests import synthesis_request
 
@@ -95,15 +95,15 @@ def command(
     request = synthesis_request(types, seconds=length, count=count, keys=keys_file or (), **making.words())
     if loops and any(len(plan) > 1 for plan in request.plans):
         raise click.UsageError("--loop takes one motion type, such as --types walking --loop")
-    outputs = wanted.files(request.name, (*making.inputs, keys_file), request.options.count)
+    outputs = output_options.files(request.name, (*making.inputs, keys_file), request.options.count)
     announce(request.frames / request.model.fps, request.model.fps, request.options)
     with Stages() as show:
         progress = show.count("synthesizing", None if loops else request.frames)
         result, cycles = request.loops(seconds, progress) if loops else (request.run(progress), [])
-        made, shown = _write(result, request, cycles, outputs, making, show)
+        made, views = _write(result, request, cycles, outputs, making, show)
     for note in filter(None, (cycle.note(seconds) for cycle in cycles)):
         remark(note)
-    outputs.show(lambda: shown)
+    outputs.show(lambda: views)
     rate = result.frames / max(result.seconds, 1e-9)
     facts = {"roll_out_seconds": result.seconds, "frames_per_second": rate, "seed": making.seed}
     lines = [line for entry in made for line in _lines(entry, making.choice.words)]
@@ -112,23 +112,28 @@ def command(
 
 
 def _check(
-    types: Sequence[str], count: int, loops: bool, keys_file: Path | None, making: Making, wanted: Wanted
+    types: Sequence[str],
+    count: int,
+    loops: bool,
+    keys_file: Path | None,
+    making: Making,
+    output_options: OutputOptions,
 ) -> None:
     """Raise UsageError for contradictory options."""
     if not types:
         raise click.UsageError(
             "give --types, such as --types running,cartwheel; --list-types lists the model's types"
         )
-    if wanted.view:
+    if output_options.view:
         from motionkit.view.viewer import MAX_MOTIONS
 
         if count > MAX_MOTIONS:
             raise click.UsageError(f"--view shows up to {MAX_MOTIONS} motions, found --count {count}")
     if loops and keys_file is not None:
         raise click.UsageError("--loop and --keys cannot be combined")
-    if keys_file is not None and making.choice.way.in_place:
+    if keys_file is not None and making.choice.root_motion.in_place:
         raise click.UsageError("--keys says where to be on the ground, which --in-place leaves out")
-    wanted.check(max(count, len(types)))
+    output_options.check(max(count, len(types)))
 
 
 def _write(
@@ -138,12 +143,12 @@ def _write(
     outputs: Outputs,
     making: Making,
     show: Stages,
-) -> tuple[list[dict[str, Any]], list[Shown]]:
+) -> tuple[list[dict[str, Any]], list[MotionView]]:
     """Write and measure the motions; returns their facts for --json, with seams, and the motions for --view."""
     from motionkit.control.meet import arrival
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
-    made, shown = [], []
+    made, views = [], []
     progress = show.count("writing", len(result.motions))
     for number, one in enumerate(result.motions):
         progress(number)
@@ -152,9 +157,9 @@ def _write(
             one.motion, making.ik, bool(cycles), None if cycles else one.unfinished
         )
         outputs.write(making.choice.clip_of(put, file.stem, parts), number)
-        shown.append(Shown(file.stem, put, parts, character=making.choice.character))
+        views.append(MotionView(file.stem, put, parts, character=making.choice.character))
         facts = {"file": file, "frames": len(put), "fps": one.motion.fps, "types": parts}
-        facts |= {"metrics": motion_metrics(measured)}
+        facts |= {"metrics": motion_metrics(measured, making.choice.rig)}
         seam = cycles[number].seam if cycles else None
         if seam:
             facts |= seam.as_dict()
@@ -162,14 +167,14 @@ def _write(
             away = [(key.seconds, *arrival(measured, key)) for key in request.options.keys]
             facts["keys"] = [dict(zip(("seconds", "cm", "degrees"), each, strict=True)) for each in away]
         made.append({"facts": facts, "seam": seam})
-    return made, shown
+    return made, views
 
 
 def _lines(entry: dict[str, Any], on: str) -> Iterator[str]:
     """The lines printed for one motion."""
     facts, seam = entry["facts"], entry["seam"]
     kinds = ", ".join(f"{kind} {round(time, 2):g} s" for kind, time in facts["types"])
-    yield f"wrote {shown_name(facts['file'])}: {kinds}; {facts['frames']} frames at {facts['fps']:g} fps{on}"
+    yield f"wrote {display_name(facts['file'])}: {kinds}; {facts['frames']} frames at {facts['fps']:g} fps{on}"
     yield metrics_line(facts["metrics"])
     if seam:
         yield f"  {seam.sentence()}"

@@ -59,7 +59,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 
 
 @dataclass(frozen=True)
-class Beginning:
+class InitialModel:
     """The model that training starts from."""
 
     init: str | None
@@ -136,10 +136,10 @@ class Run:
 @click.option(
     "--init",
     type=click.Path(),
-    help="Model file to begin from; by default the bundled model, if it has the same preset.",
+    help="Model file to start from; by default the bundled model, if it has the same preset.",
 )
-@click.option("--from-scratch", is_flag=True, help="Begin from random weights.")
-@click.option("--add", is_flag=True, help="Also keep the types of the model that training begins from.")
+@click.option("--from-scratch", is_flag=True, help="Start from random weights.")
+@click.option("--add", is_flag=True, help="Also keep the types of the model that training starts from.")
 @click.option(
     "--batch",
     type=click.IntRange(1, 4096),
@@ -167,7 +167,7 @@ class Run:
 @click.option(
     "--step-weight",
     type=FiniteRange(0.0, 1000.0),
-    help="Weight of the loss on foot sliding against the recording; 0 by default, 35 gives firm feet.",
+    help="Weight of the loss on foot sliding against the recording; 0 by default, 35 keeps feet from sliding.",
 )
 @click.option(
     "--step-except",
@@ -178,14 +178,14 @@ class Run:
 @click.option(
     "--reference-dropout",
     type=FiniteRange(0.0, 1.0),
-    help="Share of training windows without reference poses; the preset's by default (0.5; tptn-paper 1). More of "
-    "them teach the network to do without.",
+    help="Share of training windows without reference poses; the preset's by default (0.5; tptn-paper 1). A larger "
+    "share teaches the network to move without them.",
 )
 @click.option(
     "--trajectory-drift",
     type=FiniteRange(0.0, 1.0),
-    help="Standard deviation of a factor on the trajectory of training windows that go straight; 0 by default. "
-    "0.15 keeps a tptn-paper that is fed its own trajectory from going ever faster.",
+    help="Standard deviation of a factor on the trajectory of training windows that go straight; 0 by default. 0.15 "
+    "keeps tptn-paper, which is fed its own trajectory, from speeding up.",
 )
 @click.option(
     "--splices",
@@ -220,13 +220,13 @@ class Run:
     help="Page (.html) or contact sheet (.png) of the motions of each evaluation so far.",
 )
 @click.option("--half", is_flag=True, help="Store the weights in 16 bits, half the size.")
-@seed_option()
+@seed_option
 @json_option
-@gathered("begins", Beginning)
+@gathered("begins", InitialModel)
 @gathered("run", Run)
 def command(
     dataset: Path,
-    begins: Beginning,
+    begins: InitialModel,
     run: Run,
     preset: str,
     device: str,
@@ -235,7 +235,7 @@ def command(
 ) -> None:
     """Train a motion model on a DATASET folder made by preprocess.
 
-    Training begins from the bundled model and takes minutes; --from-scratch begins from random weights and
+    Training starts from the bundled model and takes minutes; --from-scratch starts from random weights and
     takes an hour and more. A checkpoint is written every 40 seconds. Ctrl-C writes the model as it is, and
     --resume continues the run exactly. For several processes: torchrun --nproc-per-node N -m motionkit train
     DATASET ...
@@ -244,7 +244,7 @@ def command(
     run.check([init if init != BUNDLED else None, *dataset.glob("*")])
 
     import motionkit as mk
-    from motionkit.data.amounts import small_types
+    from motionkit.data.repeat import small_types
     from motionkit.training.log_folder import LogFolder
 
     options = _options(preset, init, begins.add, score_minutes or (1.0 if run.preview else None), changes)

@@ -59,7 +59,7 @@ class TrainingMonitor:
         self.began: tuple[int, float] | None = (
             None  # step and seconds of the first event; not zero in a resumed run
         )
-        self.told = "", -1  # stage and quarter of the last line about a stage
+        self.last_stage = "", -1  # stage and quarter of the last line about a stage
         self.stopping = ""
 
     def __enter__(self) -> TrainingMonitor:
@@ -100,7 +100,9 @@ class TrainingMonitor:
                 self.live.update(self._status(event))
             elif event.kind == "log":
                 terms = " ".join(f"{name} {value:.3f}" for name, value in event.losses.items())
-                self.console.print(f"{self._way(event)}: {terms}" if self.losses else self._way(event))
+                self.console.print(
+                    f"{self._progress_text(event)}: {terms}" if self.losses else self._progress_text(event)
+                )
 
     def _stop(self, event: TrainEvent) -> None:
         """Report a signal at once. It may have interrupted a print, so bypass Python's buffers."""
@@ -111,26 +113,26 @@ class TrainingMonitor:
         percent = round(100 * share)
         if self.live is not None:
             self.live.update(f"{name} {_bar(share)} {percent} %")
-        elif (name, percent // 25) != self.told:
-            self.told = name, percent // 25
+        elif (name, percent // 25) != self.last_stage:
+            self.last_stage = name, percent // 25
             self.console.print(f"{name}: {percent} %")
 
-    def _way(self, event: TrainEvent) -> str:
+    def _progress_text(self, event: TrainEvent) -> str:
         """Steps done, speed and remaining time."""
         total = f" of {self.steps}" if self.steps else ""
         step, seconds = self.began or (0, 0.0)
         left = event.seconds * (1.0 - event.share) / max(event.share, 1e-6)
-        way = f"step {event.step}{total}, {event.share:.0%}"
+        done = f"step {event.step}{total}, {event.share:.0%}"
         if event.seconds <= seconds:  # too early to measure the speed
-            return way
+            return done
         rate = (event.step - step) / (event.seconds - seconds)
         speed = f"{rate:.2f} steps/s" if rate < 10 else f"{rate:.0f} steps/s"
-        return f"{way}, {speed}, {duration(left)} left"
+        return f"{done}, {speed}, {duration(left)} left"
 
     def _status(self, event: TrainEvent) -> Any:
         from rich.console import Group
 
-        lines = [f"{_bar(event.share)} {self._way(event)}"]
+        lines = [f"{_bar(event.share)} {self._progress_text(event)}"]
         if self.losses:
             lines.append(", ".join(f"{name} {value:.2f}" for name, value in event.losses.items()))
         return Group(*lines, *([self.stopping] if self.stopping else []))

@@ -7,42 +7,37 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, animation_option, clip_options, gathered, json_option
+from motionkit.cli.common import PLACE, animation_option, clip_options, fps_option, gathered, json_option
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.folders import folders
 from motionkit.cli.outputs import (
-    Wanted,
+    OutputOptions,
     animation_options,
     clip_output_option,
-    naming,
-    shown_name,
+    display_name,
     view_option,
 )
 from motionkit.cli.times import Moment, Time
-from motionkit.errors import MotionkitError
+from motionkit.errors import MotionkitError, naming
 
 
 @click.command("trim")
 @click.argument("clip", type=PLACE)
 @clip_output_option("trimmed")
 @click.option(
-    "--from", "start", type=Time(), default="0", help="First moment kept: seconds, or a frame such as 90f."
+    "--from", "start", type=Time(), default="0", help="First frame to keep: seconds, or a frame such as 90f."
 )
-@click.option(
-    "--to", "end", type=Time(), help="End, which is not kept: seconds or a frame; that of CLIP by default."
-)
-@click.option("--moving", is_flag=True, help="Also cut off what stands still at both ends.")
-@click.option(
-    "--speed", type=FiniteRange(0.05, 20), help="Play the clip so many times as fast, at the same rate."
-)
-@click.option("--fps", type=FiniteRange(1, 480), help="Frame rate to write; that of CLIP by default.")
+@click.option("--to", "end", type=Time(), help="End, exclusive: seconds or a frame; that of CLIP by default.")
+@click.option("--moving", is_flag=True, help="Also cut off still frames at both ends.")
+@click.option("--speed", type=FiniteRange(0.05, 20), help="Factor on the pace; the frame rate stays.")
+@fps_option("Frame rate to write; that of CLIP by default.")
 @animation_option
 @animation_options
 @clip_options
 @view_option
 @json_option
 @folders("clip", "output")
-@gathered("wanted", Wanted)
+@gathered("output_options", OutputOptions)
 def command(
     clip: Path,
     start: Moment,
@@ -50,24 +45,26 @@ def command(
     moving: bool,
     speed: float | None,
     fps: float | None,
-    wanted: Wanted,
+    output_options: OutputOptions,
 ) -> None:
     """Cut a stretch out of CLIP, a motion of any rig; joints, unit and axes stay."""
     from motionkit.editing.trim import moving_frames
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
-    wanted.check()
-    outputs = wanted.files(f"{clip.stem}-trimmed", [clip])
+    output_options.check()
+    outputs = output_options.files(f"{clip.stem}-trimmed", [clip])
     source = read_clip(clip)
     motion = source.motion
     first, last = (
         len(motion) if at is None else round(at.seconds(motion.fps) * motion.fps) for at in (start, end)
     )
-    if not first < min(last, len(motion)):
+    if last <= first < len(motion):
+        raise MotionkitError(f"{clip}: --to is frame {last}, expected one after --from, frame {first}")
+    if first >= len(motion):
         raise MotionkitError(
-            f"{clip}: frames {first} to {last} asked for, but it has {len(motion)}, {motion.seconds:.2f} s"
+            f"{clip}: --from is frame {first}, but the clip has {len(motion)}, {motion.seconds:.2f} s"
         )
     last = min(last, len(motion))
     if moving:
@@ -79,7 +76,7 @@ def command(
     made = replace(resample(replace(made, fps=made.fps * (speed or 1.0)), rate), fps=rate)
     with naming(clip):
         outputs.write(source.with_motion(made))
-    outputs.show(lambda: [Shown(outputs.file.stem, made, character=source.character)])
+    outputs.show(lambda: [MotionView(outputs.file.stem, made, character=source.character)])
     facts = {"output": outputs.file, "start": first, "end": last, "frames": len(made), "fps": made.fps}
     kept = f"frames {first} to {last - 1} of {clip.name}, {made.seconds:.2f} s at {made.fps:g} fps"
-    outputs.report(facts, [f"wrote {shown_name(outputs.file)}: {kept}"], {clip: motion})
+    outputs.report(facts, [f"wrote {display_name(outputs.file)}: {kept}"], (clip, source.in_file()))

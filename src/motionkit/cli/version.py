@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from motionkit.cli.common import eager_option
 from motionkit.version import __version__
 
 
@@ -38,7 +39,7 @@ def _torch() -> str:
     try:
         return version("torch")
     except PackageNotFoundError:
-        return "none, which is needed to train only"
+        return "none (only training needs it)"
 
 
 def _model() -> str:
@@ -55,17 +56,15 @@ def _model() -> str:
     return f"{BUNDLED_MODEL.name}, {len(types)} types, {BUNDLED_MODEL.stat().st_size / 1e6:.1f} MB"
 
 
-def _show(context: click.Context, option: click.Parameter, wanted: bool) -> None:
-    if wanted and not context.resilient_parsing:
+def _show(context: click.Context, option: click.Parameter, requested: bool) -> None:
+    if requested and not context.resilient_parsing:
         click.echo(version_text())
         context.exit()
 
 
-version_option = click.option(
+version_option = eager_option(
     "--version",
     is_flag=True,
-    is_eager=True,
-    expose_value=False,
     callback=_show,
     help="Show the release, the kernels, torch and the model, and exit.",
 )

@@ -23,14 +23,15 @@ from motionkit.cli.common import (
     say,
 )
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import body_option, default_output, naming, read_again, taken_facts, taken_lines
+from motionkit.cli.outputs import body_option, default_output, describe_input, input_lines
 from motionkit.cli.rig_options import RIG_FILE, RigChoice, open_rig
 from motionkit.cli.showing import open_in_browser
+from motionkit.errors import naming
 from motionkit.names import counted, visible
 
 if TYPE_CHECKING:
     from motionkit.rig.rig import Rig
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
 ENDINGS = (".html", ".png", ".gif", ".mp4")
 
@@ -40,10 +41,6 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
         known = ", ".join(ENDINGS)
         raise click.BadParameter(f"expected a file name that ends in {known}, found {str(value)!r}")
     return value
-
-
-def _open_rig(rig_path: Path | None) -> RigChoice:
-    return open_rig(rig_path, None, None)
 
 
 @click.command("view")
@@ -85,7 +82,7 @@ def _open_rig(rig_path: Path | None) -> RigChoice:
 @clip_options
 @json_option
 @folders("clips", "output", tuple(ending[1:] for ending in ENDINGS), _ending)
-@gathered("choice", _open_rig)
+@gathered("choice", open_rig)
 def command(
     clips: tuple[Path, ...],
     output: Path | None,
@@ -103,7 +100,7 @@ def command(
     shown clip by clip, in files of --format.
     """
     from motionkit.files import check_outputs
-    from motionkit.view.write import write_shown
+    from motionkit.view.write import write_views
 
     target = output or default_output(clips[0].stem, ".html")
     _check_options(target)
@@ -113,11 +110,13 @@ def command(
         from motionkit.control.path import read_path
 
         path = read_path(path_file).points
-    shown = [_shown(clip, visible(name), choice.rig) for clip, name in zip(clips, _names(clips), strict=True)]
-    shown = [replace(one, path=path, body=body) for one in shown]
+    read = [
+        _read_view(clip, visible(name), choice.rig) for clip, name in zip(clips, _names(clips), strict=True)
+    ]
+    views = [replace(one, path=path, body=body) for one, _ in read]
     with Stages() as show:
-        write_shown(target, shown, progress=lambda done, total: show("drawing", done, total), **sizes)
-    read = read_again(*clips) if choice.rig else {c: s.motion for c, s in zip(clips, shown, strict=True)}
+        write_views(target, views, progress=lambda done, total: show("drawing", done, total), **sizes)
+    read_as = [words for _, words in read]
     if target.suffix.lower() == ".html" and opens and not as_json:
         open_in_browser(target.resolve().as_uri())
     if as_json:
@@ -127,36 +126,37 @@ def command(
                 "frames": len(one.motion),
                 "seconds": one.motion.seconds,
                 "fps": one.motion.fps,
-                "taken": taken_facts({clip: read[clip]}),
+                "taken": words,
             }
-            for clip, one in zip(clips, shown, strict=True)
+            for clip, one, words in zip(clips, views, read_as, strict=True)
         ]
         print_json({"output": target, "clips": facts})
     else:
-        for line in (f"wrote {target}: {counted(len(clips), 'clip')}", *taken_lines(read)):
+        for line in (f"wrote {target}: {counted(len(clips), 'clip')}", *input_lines(clips, read_as)):
             say(line)
 
 
-def _shown(path: Path, name: str, rig: Rig | None) -> Shown:
-    """Read the motion of a file of any kind, and put it on the rig if there is one."""
-    from motionkit.export.clip import Clip
+def _read_view(path: Path, name: str, rig: Rig | None) -> tuple[MotionView, str]:
+    """The motion of a file of any kind, on the rig if there is one; and how the file was read."""
     from motionkit.export.formats import read_clip
     from motionkit.finish.on_rig import on_rig
     from motionkit.motion.bvh import bvh_to_motion
-    from motionkit.rig.on_rig import read_on_any_rig
-    from motionkit.rig.read_file import is_gltf, read_file
+    from motionkit.rig.on_rig import canonical_for
+    from motionkit.rig.read_file import read_file
     from motionkit.view.body import check_bones
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import MotionView
 
     if rig is not None:
-        clip = Clip(on_rig(read_on_any_rig(path, rig)[0], rig), character=rig.character)
-    else:
-        clip = read_clip(path) if is_gltf(path) else Clip(bvh_to_motion(read_file(path)))
-    shown = Shown(name, clip.motion, character=clip.character)
-    if shown.hero is None:
+        bvh = read_file(path)
+        with naming(path):
+            made = on_rig(canonical_for(bvh, rig)[0], rig)
+        return MotionView(name, made, character=rig.character), describe_input(bvh_to_motion(bvh))
+    clip = read_clip(path)
+    view = MotionView(name, clip.motion, character=clip.character)
+    if view.skinned_character is None:
         with naming(path):
             check_bones(clip.motion)
-    return shown
+    return view, describe_input(clip.in_file())
 
 
 def _names(clips: Sequence[Path]) -> list[str]:
@@ -179,6 +179,6 @@ def _check_options(target: Path) -> None:
         ("path", "path_file", (".html",)),
         ("body", "body", (".html", ".gif", ".mp4")),
     ):
-        given = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
-        if given and kind not in kinds:
+        typed = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+        if typed and kind not in kinds:
             raise click.UsageError(f"--{flag} applies to {', '.join(kinds)} files, found {target.name}")

@@ -54,7 +54,7 @@ class Crossfade:
         """Whether the cross-fade has ended at a frame of the entered clip."""
         return frame >= self.entered_at + self.frames
 
-    def fading(self, frames: Array, shown: Array, signal: Signal) -> Array:
+    def fading(self, frames: Array, current: Array, signal: Signal) -> Array:
         """Blend what is shown (T, F) at frames (T,) of the entered clip with the same signal of the fading clip."""
         since = frames - self.entered_at
         before = signal(self.clip, self.at + since)
@@ -63,7 +63,7 @@ class Crossfade:
         if self.before is not None:
             before = self.before.fading(self.at + since, before, signal)
         share = np.minimum(since / self.frames, 1.0).astype(np.float32)[:, None]
-        return lerp(before, shown, share)
+        return lerp(before, current, share)
 
 
 class Pause:
@@ -75,12 +75,12 @@ class Pause:
     def __init__(self, left: ReferenceClip, entered: ReferenceClip, at: int) -> None:
         """Lead from the end of a clip to a frame of the entered clip."""
         self.ends = (left, np.array([len(left) - 1])), (entered, np.array([at]))
-        self.shown = 0
+        self.played = 0
 
     def next(self, frames: int) -> tuple[Array, Array, bool]:
         """Reference poses (n, 72) and trajectories (n, 24) of up to `frames` frames, and whether the pause is over."""
-        first, self.shown = self.shown, min(self.shown + frames, PAUSE)
-        share = (np.arange(first + 1, self.shown + 1, dtype=np.float32) / PAUSE)[:, None]
+        first, self.played = self.played, min(self.played + frames, PAUSE)
+        share = (np.arange(first + 1, self.played + 1, dtype=np.float32) / PAUSE)[:, None]
         before, after = (reference_signal(clip.poses, at) for clip, at in self.ends)
         left, entered = (future_trajectory(clip.ground, at) for clip, at in self.ends)
-        return lerp(before, after, share), lerp(left, entered, share), self.shown == PAUSE
+        return lerp(before, after, share), lerp(left, entered, share), self.played == PAUSE

@@ -9,19 +9,18 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.follow import PathFollower
-from motionkit.control.gait_limits import within_limits
-from motionkit.control.memory import FirstSteps, Performance, Performances, Request, SpeedTrim, TypeBlend
+from motionkit.control.memory import FirstSteps, Performance, Performances, Request, TypeBlend
 from motionkit.control.path import Path2D
 from motionkit.control.plan import plan_path
 from motionkit.control.reference_player import ReferencePlayer
-from motionkit.control.steering import STANDS_BELOW, Pair, Steering, SteeringOptions, steered_type
+from motionkit.control.steering import STANDS_BELOW, Steering, SteeringOptions
 from motionkit.errors import ControlError
 from motionkit.features.control import Controls
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.names import nfc
 
-DEFAULT_SECONDS = 2.0  # of a type shown once that has no length of its own
+DEFAULT_SECONDS = 2.0  # of a type performed once that has no length of its own
 PATH = ""  # in place of a type while the parts of a path name the types
 _TRAJECTORY = ("trajectory", "trajectory_mask")
 FASTEST_WISH = 1000.0  # cm/s; faster than any sprint
@@ -34,7 +33,7 @@ class Wish:
     Attributes:
         velocity: over the ground, x and z in cm/s. (0, 0) stands still; None gives no trajectory.
         facing: heading in radians. None takes the usual facing of the gait; a standing body keeps its heading.
-        type: a motion type; None chooses by velocity and facing (steered_type).
+        type: a motion type; None chooses by velocity and facing.
         path: a path to follow instead; its parts name the types. At its end the character stands.
     """
 
@@ -54,40 +53,6 @@ class DriveOptions:
 
     steering: SteeringOptions = field(default_factory=SteeringOptions)
     blend_frames: int = 12
-
-
-class GaitDriver:
-    """Steers the gaits of a live character: trajectory spring, speed controller and first steps."""
-
-    def __init__(self, model: MotionModel, options: SteeringOptions, choice: int) -> None:
-        """Start at rest; choice picks among the recordings of first steps."""
-        self.model = model
-        self.steering = Steering(model.fps, options)
-        self.trim = SpeedTrim(model)
-        self.first_steps = FirstSteps(model, choice)
-
-    @property
-    def speed(self) -> float:
-        """The speed of the trajectory spring in cm/s."""
-        return math.hypot(*self.steering.velocity)
-
-    def trajectory(self, kind: str, velocity: Pair, facing: float | None) -> tuple[Array, Array]:
-        """The trajectory (1, 24) of a type for a wish, and the factor (1,) on the root-slip correction."""
-        if facing is None and math.hypot(*velocity) >= STANDS_BELOW:
-            gait = self.model.types[kind].gait
-            facing = math.atan2(*velocity) - (0.0 if gait is None else gait.facing)
-        velocity, facing = within_limits(self.model, kind, velocity, facing)
-        velocity = self.trim(kind, velocity, self.steering.measured)
-        settled = np.array([self.steering.settled(velocity)], np.float32)
-        return np.array([self.steering.trajectory(velocity, facing)], np.float32), settled
-
-    def first_steps_of(self, kind: str, stood: bool, asked: Controls) -> Controls:
-        """Add reference poses to the controls (1, ...) of a gait during its first steps from standing."""
-        if stood and self.model.kind(kind) is MotionKind.GAIT:
-            self.first_steps.begin(kind)
-        if self.first_steps.takes(kind):
-            return self.first_steps.reference(asked, asked.trajectory)
-        return asked
 
 
 class Driver:
@@ -112,11 +77,11 @@ class Driver:
         """
         self.model, self.options, self.choice = model, options or DriveOptions(), choice
         self.wish = Wish()
-        self.gaits = GaitDriver(model, self.options.steering, choice)
+        self.steering = Steering(model, self.options.steering)
+        self.first_steps = FirstSteps(model, choice)
         self.performances = Performances(model, self.options.blend_frames)
-        self.blend = TypeBlend(
-            model, kind or steered_type(model, (0.0, 0.0), None), self.options.blend_frames
-        )
+        kind = kind or self.steering.type((0.0, 0.0), None)
+        self.blend = TypeBlend(model, kind, self.options.blend_frames)
         self.follower: PathFollower | None = None
         self._player, self._played = ReferencePlayer(model, choice), ""  # for types that follow recordings
 
@@ -159,8 +124,8 @@ class Driver:
 
     @property
     def performing(self) -> str | None:
-        """The type that is shown once at present, if any."""
-        return None if self.performances.shown is None else self.performances.shown.type
+        """The type that is performed once at present, if any."""
+        return None if self.performances.current is None else self.performances.current.type
 
     @property
     def following(self) -> float | None:
@@ -169,14 +134,16 @@ class Driver:
 
     def __call__(self, frame: int, ground: Array) -> Controls:
         """Controls (1, ...) of a frame for a body at ground (1, 3); frame counts up by one at each call."""
-        shown = self.performances.take_turns(frame, self.gaits.speed, self._repeated())
-        free = self.wish.velocity is None or self.follower is not None or shown is not None
+        performance = self.performances.take_turns(frame, self.steering.speed, self._repeated())
+        free = self.wish.velocity is None or self.follower is not None or performance is not None
         x, z, heading = ground[0].tolist()
-        self.gaits.steering.observe(x, z, heading, free)
-        kind, asked = self._wished() if self.follower is None else self._follow(self.follower, frame, ground)
-        if shown is not None:
-            kind, asked = self._show(shown, frame, kind, asked)
-        return replace(asked, type_weights=self.blend(kind, asked.type_weights[0])[None])
+        self.steering.observe(x, z, heading, free)
+        kind, controls = (
+            self._wished() if self.follower is None else self._follow(self.follower, frame, ground)
+        )
+        if performance is not None:
+            kind, controls = self._show(performance, frame, kind, controls)
+        return replace(controls, type_weights=self.blend(kind, controls.type_weights[0])[None])
 
     def _repeated(self) -> Request | None:
         """The performance, strike or jump that the wish repeats, if any."""
@@ -189,49 +156,55 @@ class Driver:
         """The type and the controls of the wish."""
         wish = self.wish
         if wish.velocity is None:
-            kind = wish.type or steered_type(self.model, (0.0, 0.0), None)
+            kind = wish.type or self.steering.type((0.0, 0.0), None)
             return kind, without_trajectory(self._recorded(kind, None))
-        kind = wish.type or steered_type(self.model, wish.velocity, wish.facing)
-        trajectory, settled = self.gaits.trajectory(kind, wish.velocity, wish.facing)
+        kind = wish.type or self.steering.type(wish.velocity, wish.facing)
+        trajectory, settled = self.steering.trajectory(kind, wish.velocity, wish.facing)
         if not self.model.kind(kind).steered:
             return kind, self._recorded(kind, trajectory)
         self._played = ""
-        asked = replace(self._free(kind), trajectory=trajectory, slip_correction=settled)
+        controls = replace(self._free(kind), trajectory=trajectory, slip_correction=settled)
         stood = self.model.kind(self.blend.target) is MotionKind.STANCE
-        return kind, self.gaits.first_steps_of(kind, stood, asked).with_mask(1.0)
+        if stood and self.model.kind(kind) is MotionKind.GAIT:
+            self.first_steps.begin(kind)
+        if self.first_steps.takes(kind):
+            controls = self.first_steps.reference(controls, trajectory)
+        return kind, controls.with_mask(1.0)
 
     def _recorded(self, kind: str, trajectory: Array | None) -> Controls:
         """Controls (1, ...) of a type that follows recordings, as long as the wish lasts."""
         if kind != self._played:
-            self._player.begin(kind, speed=self.gaits.speed)
+            self._player.begin(kind, speed=self.steering.speed)
             self._played = kind
         return self._player.play(1, trajectory)
 
     def _follow(self, follower: PathFollower, frame: int, ground: Array) -> tuple[str, Controls]:
         """The type PATH and the controls of a path, which include the type weights."""
-        asked = follower(frame, ground)
+        controls = follower(frame, ground)
         if follower.place.at_end:
             self.follower, self.wish = None, Wish()
-        return PATH, asked
+        return PATH, controls
 
-    def _show(self, shown: Performance, frame: int, kind: str, otherwise: Controls) -> tuple[str, Controls]:
+    def _show(
+        self, performance: Performance, frame: int, kind: str, otherwise: Controls
+    ) -> tuple[str, Controls]:
         """The type and the controls of a performance, with some controls of the wish at its beginning and end."""
-        at = frame - shown.begins
+        at = frame - performance.begins
         if at < 0:
             kept = {name: getattr(otherwise, name) for name in (*_TRAJECTORY, "slip_correction")}
-            return shown.type, replace(self._free(shown.type), **kept)
-        asked = shown.controls.at(slice(at, at + 1))
-        asked = replace(asked, slip_correction=otherwise.slip_correction)
-        if at < shown.frames - self.options.blend_frames // 2:
-            kind = shown.type
+            return performance.type, replace(self._free(performance.type), **kept)
+        controls = performance.controls.at(slice(at, at + 1))
+        controls = replace(controls, slip_correction=otherwise.slip_correction)
+        if at < performance.frames - self.options.blend_frames // 2:
+            kind = performance.type
         else:
-            asked = replace(asked, type_weights=otherwise.type_weights)
-        if not asked.trajectory_mask.any():
+            controls = replace(controls, type_weights=otherwise.type_weights)
+        if not controls.trajectory_mask.any():
             # A moving character keeps its trajectory; a standing one that kicks is free to move.
             speed = math.hypot(*(self.wish.velocity or (0.0, 0.0)))
             if self.follower is not None or speed >= STANDS_BELOW:
-                asked = replace(asked, **{name: getattr(otherwise, name) for name in _TRAJECTORY})
-        return kind, asked
+                controls = replace(controls, **{name: getattr(otherwise, name) for name in _TRAJECTORY})
+        return kind, controls
 
     def _free(self, kind: str) -> Controls:
         """Controls (1, ...) of a type alone."""
@@ -243,6 +216,6 @@ def without_trajectory(controls: Controls) -> Controls:
     return replace(controls, trajectory=np.zeros_like(controls.trajectory)).with_mask(0.0)
 
 
-def together(asked: list[Controls]) -> Controls:
+def together(controls: list[Controls]) -> Controls:
     """Join the controls of several characters into one batch."""
-    return Controls.concatenated(asked)
+    return Controls.concatenated(controls)

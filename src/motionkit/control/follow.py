@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.character_start import character_start
 from motionkit.control.memory import FirstSteps
-from motionkit.control.momentum import asked_speed
-from motionkit.control.opening import opening
+from motionkit.control.momentum import trajectory_speed
 from motionkit.control.path import Path2D
 from motionkit.control.path_place import PathPlace
 from motionkit.control.plan import Plan, plan_path
@@ -20,7 +20,7 @@ from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.speeds import acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, check_size, finished, unfinished
 from motionkit.errors import ControlError
-from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
+from motionkit.features.control import Controls
 from motionkit.finish.finish import Unfinished
 from motionkit.inference.noise import default_noise
 from motionkit.inference.rollout import RolloutState, run
@@ -28,11 +28,9 @@ from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import rotate_ground
 
 PATIENCE = 1.6  # factor on the expected duration (plus 3 s), after which the roll-out stops
-BLEND_SAMPLES = 16  # points at which types are sampled for their blend; chosen
-# Gaits whose median recording lasts at least LONG_SECONDS show it on a path, with a share GUIDED of the type's gain.
+# Gaits whose median recording lasts at least LONG_SECONDS guide it on a path, with a share GUIDED of the type's gain.
 # Shorter recordings follow one another too quickly for the feet. Chosen by foot sliding and arm swing.
 LONG_SECONDS, GUIDED = 2.0, 0.6
 
@@ -76,12 +74,12 @@ class PathFollower:
         assert plan.route is not None
         self.model, self.plan, self.behind = model, plan, behind
         self.route = plan.route
-        self.place = PathPlace(plan.route, model.fps)
-        self.player = ReferencePlayer(model, choice, own_share=0.0)
+        self.place = PathPlace(plan.route)
+        self.player = ReferencePlayer(model, choice, recorded_share=0.0)
         self.first_steps = FirstSteps(model, choice)
-        self.shown = {part.type for part in plan.route.path.parts if _shown(model, part.type)}
+        self.guided = {part.type for part in plan.route.path.parts if _guides(model, part.type)}
         self.entered = -1  # the present part
-        self.arcs: list[float] = []
+        self.parts: list[int] = []  # of every frame
 
     @property
     def finished(self) -> bool:
@@ -91,77 +89,51 @@ class PathFollower:
     def __call__(self, frame: int, ground: Array) -> Controls:
         """Controls (1, ...) of a frame for a body at ground (1, 3)."""
         place, path = self.place, self.route.path
-        place.move(ground[0, :2])
-        self.arcs.append(place.arc)
-        stood = place.stood
-        standing = place.standing()
-        ahead = place.ahead(TRAJECTORY_OFFSETS, place.arc)
-        trajectory = self._trajectory(ahead, ground[0])
-        part = int(path.part_at(place.arc))
+        standing = place.move(ground[0])
+        trajectory, part = np.array(place.words.trajectory, np.float32), place.words.present
+        self.parts.append(part)
         kind = self.model.kind(path.parts[part].type)
+        controls = Controls.of_types(place.weights[None].copy())
         if kind.steered:
             self.entered = part
         if kind.steered or standing:
-            goes_on = stood is not None and place.stood is None and kind is MotionKind.GAIT
-            asked = self._steered(path.parts[part].type, trajectory, standing, goes_on)
+            goes_on = place.words.goes_on and kind is MotionKind.GAIT
+            controls = self._steered(path.parts[part].type, controls, trajectory, standing, goes_on)
         else:
-            asked = self._recorded(part, trajectory)
+            controls = replace(self._recorded(part, trajectory), type_weights=controls.type_weights)
         # The path comes first: no root-slip correction, and the recorded trajectory does not count.
         free = np.zeros(1, np.float32)
         if self.model.plain:
-            asked = replace(asked, types_ahead=np.stack([self.type_weights(arc) for arc in ahead])[None])
-        return replace(asked, trajectory=trajectory[None], slip_correction=free).with_mask(1.0)
+            ahead = np.stack([place.type_weights(arc) for arc in place.words.ahead])
+            controls = replace(controls, types_ahead=ahead[None])
+        return replace(controls, trajectory=trajectory[None], slip_correction=free).with_mask(1.0)
 
-    def _trajectory(self, ahead: Array, ground: Array) -> Array:
-        """The trajectory (24,) from a place (3,) to the path points at arc lengths (6,) ahead."""
-        points, tangents = self.route.path.at(ahead)
-        heading = ground[2]
-        positions = rotate_ground(-heading, points - ground[:2])
-        facing = self.route.facings[self.route.path.part_at(ahead)]
-        directions = rotate_ground(-heading - facing, tangents)
-        return np.concatenate([positions.reshape(-1), directions.reshape(-1)])
-
-    def _steered(self, kind: str, trajectory: Array, standing: float, goes_on: bool) -> Controls:
+    def _steered(
+        self, kind: str, controls: Controls, trajectory: Array, standing: float, goes_on: bool
+    ) -> Controls:
         """Controls (1, ...) of a gait or of standing; goes_on begins first steps, which follow recordings."""
-        asked = Controls.of_types(self.type_weights(self.place.arc, standing)[None])
         if goes_on:
             self.first_steps.begin(kind)
         if not standing and self.first_steps.takes(kind):
-            return self.first_steps.reference(asked, trajectory[None])
-        return asked if standing or kind not in self.shown else self._guided(kind, asked, trajectory)
+            return self.first_steps.reference(controls, trajectory[None])
+        return controls if standing or kind not in self.guided else self._guided(kind, controls, trajectory)
 
-    def _guided(self, kind: str, asked: Controls, trajectory: Array) -> Controls:
+    def _guided(self, kind: str, controls: Controls, trajectory: Array) -> Controls:
         """Add reference poses of a gait to its controls (1, ...), more of them the more of the gait is blended in."""
         if self.player.kind != kind:
-            self.player.begin(kind, speed=asked_speed(trajectory, self.model.fps))
-        shown = self.player.play(1, trajectory[None])
-        share = np.float32(GUIDED) * asked.type_weights[:, self.model.type_id(kind)]
-        return replace(asked, reference=shown.reference, reference_gain=share * shown.reference_gain)
+            self.player.begin(kind, speed=trajectory_speed(trajectory, self.model.fps))
+        played = self.player.play(1, trajectory[None])
+        share = np.float32(GUIDED) * controls.type_weights[:, self.model.type_id(kind)]
+        return replace(controls, reference=played.reference, reference_gain=share * played.reference_gain)
 
     def _recorded(self, part: int, trajectory: Array) -> Controls:
         """Controls (1, ...) of a part that follows recordings."""
         if part != self.entered:
             behind = self.behind if self.entered < 0 else 0
-            speed = asked_speed(trajectory, self.model.fps)
+            speed = trajectory_speed(trajectory, self.model.fps)
             self.player.begin(self.route.path.parts[part].type, behind=behind, speed=speed)
             self.entered = part
-        weights = self.type_weights(self.place.arc)[None]
-        return replace(self.player.play(1, trajectory[None]), type_weights=weights)
-
-    def type_weights(self, arc: float, standing: float = 0.0) -> Array:
-        """Type weights (N,) at an arc length: the mean over half a blend behind and half a blend ahead.
-
-        Args:
-            standing: the share of standing still.
-        """
-        reach = self.place.speed_at(arc) * (self.plan.blend // 2) / self.model.fps
-        arcs = np.linspace(arc - reach, arc + reach, BLEND_SAMPLES)
-        kinds = self.plan.track[self.route.path.nearest(arcs)]
-        weights = np.eye(self.plan.type_count, dtype=np.float32)[kinds].mean(axis=0)
-        if standing and self.route.stand is not None:
-            weights *= 1.0 - standing
-            weights[self.route.stand] += standing
-        return weights
+        return self.player.play(1, trajectory[None])
 
 
 def follow_path(
@@ -183,8 +155,8 @@ def follow_path(
     first = plan.segments[0].type
     weights = model.type_weights(first)[None]
     body = model.moved_skeleton(options.character)
-    begin = opening(model, first, body, options.init)
-    follower = PathFollower(model, plan, options.seed, begin.shown.behind)
+    begin = character_start(model, first, body, options.init)
+    follower = PathFollower(model, plan, options.seed, begin.start_state.behind)
     check_size(plan.seconds, model.fps, options)
     tangent = path.tangents[0]
     heading = math.atan2(*tangent) - follower.route.facings[0]
@@ -215,8 +187,8 @@ def follow_path(
     return FollowResult(
         motion,
         trajectory_distance(track, path.points),
-        _part_distances(track, follower.arcs, path),
-        tuple(np.bincount(path.part_at(np.array(follower.arcs)), minlength=len(path.parts)).tolist()),
+        _part_distances(track, np.array(follower.parts), path),
+        tuple(np.bincount(follower.parts, minlength=len(path.parts)).tolist()),
         arrived(),
         seconds,
         len(track),
@@ -225,16 +197,15 @@ def follow_path(
     )
 
 
-def _shown(model: MotionModel, kind: str) -> bool:
-    """Whether recordings of a gait last long enough to be shown on a path."""
+def _guides(model: MotionModel, kind: str) -> bool:
+    """Whether recordings of a gait last long enough to guide it on a path."""
     clips = model.types[kind].reference_clips if model.uses_references and kind in model.types else ()
     if model.kind(kind) is not MotionKind.GAIT or not clips:
         return False
     return float(np.median([len(clip) for clip in clips])) >= LONG_SECONDS * model.fps
 
 
-def _part_distances(track: Array, arcs: list[float], path: Path2D) -> tuple[tuple[float, float] | None, ...]:
-    parts = path.part_at(np.array(arcs))
+def _part_distances(track: Array, parts: Array, path: Path2D) -> tuple[tuple[float, float] | None, ...]:
     out: list[tuple[float, float] | None] = []
     for index in range(len(path.parts)):
         mine = track[: len(parts)][parts == index]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.errors import BvhError, ControlError
+from motionkit.errors import BvhError, ControlError, MotionkitError, naming
 from motionkit.features.encode import EncodedMotion, encode_motion
 from motionkit.files import read_json
 from motionkit.models.model import MotionModel
@@ -124,10 +124,8 @@ def read_keys(path: str | Path, model: MotionModel) -> tuple[Key, ...]:
     files = _Files(Path(path).parent, model)
     by_file = sorted(enumerate(entries, 1), key=lambda numbered: _file_of(numbered[1]))
     keys = [_key(f"{path}: key {number}", entry, files) for number, entry in by_file]
-    try:
+    with naming(path, ControlError):
         return check_keys(keys)
-    except ControlError as error:
-        raise ControlError(f"{path}: {error}") from None
 
 
 def check_keys(keys: Sequence[Key]) -> tuple[Key, ...]:
@@ -207,9 +205,9 @@ def _joint(where: str, name: str) -> int:
 def _numbers(where: str, name: str, values: Any, count: int, least: float = -1e5, most: float = 1e5) -> Array:
     numbers = isinstance(values, list) and len(values) == count
     if not numbers or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
-        shown = values[0] if count == 1 and isinstance(values, list) else values
+        found = values[0] if count == 1 and isinstance(values, list) else values
         raise ControlError(
-            f"{where}: {name}: expected {count} number{'s' * (count > 1)}, found {str(shown)[:40]}"
+            f"{where}: {name}: expected {count} number{'s' * (count > 1)}, found {str(found)[:40]}"
         )
     if not all(least <= v <= most for v in values):
         raise ControlError(f"{where}: {name}: expected {least:g} to {most:g}, found {values}")
@@ -257,6 +255,8 @@ class _Files:
                 raise
             # Not what it found: keys from others could name a private file.
             raise ControlError(f"{name}: no BVH file that can be read, at line {error.line}") from None
+        except MotionkitError as error:  # a key chooses an animation by a field
+            raise MotionkitError(str(error).replace("with --clip", 'with "clip"')) from None
         motion = resample(clip, self.model.fps)
         if len(motion) == 1:  # a pose; it stands still
             turns, places = (
@@ -272,6 +272,6 @@ def smoothed_step(x: Array) -> Array:
     return x * x * x * (x * (6.0 * x - 15.0) + 10.0)
 
 
-def travel_direction(way: Array) -> float:
+def travel_direction(step: Array) -> float:
     """The heading in radians of a step (2,) over the ground."""
-    return math.atan2(float(way[0]), float(way[1]))
+    return math.atan2(float(step[0]), float(step[1]))

@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 
 from motionkit.arrays import Array, lerp
+from motionkit.control.character_start import CharacterStart
 from motionkit.control.keys import Key, smoothed_step, travel_direction
-from motionkit.control.opening import Opening
 from motionkit.control.plan import Plan
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
@@ -43,8 +43,8 @@ from motionkit.motion.rotations import (
 )
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
 
-SHOWN_SECONDS = 0.6  # time before and after a key in which its pose is a reference pose
-AFTER = 70  # frames of a recording kept after a key: SHOWN_SECONDS, and the look-ahead of references
+KEY_POSE_SECONDS = 0.6  # time before and after a key in which its pose is a reference pose
+AFTER = 70  # frames of a recording kept after a key: KEY_POSE_SECONDS, and the look-ahead of references
 REACH_SECONDS = 0.6  # time before and after a key over which the offset of the pose fades
 TURN_SECONDS = 1.0  # time before and after a key over which the heading turns to its facing
 STANDING = 30.0  # cm/s; a slower path does not decide the heading
@@ -75,7 +75,7 @@ class Stretch:
 
 
 def matched_stretches(
-    model: MotionModel, keys: Sequence[Key], begin: Opening, types: Array, way: Array | None
+    model: MotionModel, keys: Sequence[Key], begin: CharacterStart, types: Array, path: Array | None
 ) -> list[Stretch]:
     """For each key with a pose, find the recorded stretch of its type that best leads there from the pose before.
 
@@ -83,15 +83,15 @@ def matched_stretches(
     LONGEST_STRETCH after it gets no stretch.
     """
     out = []
-    before: tuple[int, Array] | None = (-1, begin.shown.poses[0])
+    before: tuple[int, Array] | None = (-1, begin.start_state.poses[0])
     for key in keys:
         at = round(key.seconds * model.fps)
         if key.pose is not None and before is not None and 0 < at - before[0] <= LONGEST_STRETCH * model.fps:
             kind = model.types[model.type_names[int(types[min((before[0] + at) // 2, len(types) - 1)])]]
             travel = None
-            if way is not None and key.position is not None:
-                start = begin.start.ground[0] if before[0] < 0 else way[min(before[0], len(way) - 1)]
-                travel = _travel(np.asarray(start, np.float64)[None], way[min(at, len(way) - 1)][None])[0]
+            if path is not None and key.position is not None:
+                start = begin.start.ground[0] if before[0] < 0 else path[min(before[0], len(path) - 1)]
+                travel = _travel(np.asarray(start, np.float64)[None], path[min(at, len(path) - 1)][None])[0]
             found = _stretch(kind, before[1], key.pose.embedding, at - before[0], travel)
             if found is not None:
                 out.append(Stretch(before[0], at, *found, kind.preset.reference_gain))
@@ -116,7 +116,7 @@ def _stretch(
     """Find the recording of a type that best leads from one pose to another in `frames` frames.
 
     Args:
-        travel: (3,) wanted displacement in that time, cm and radians; None for any.
+        travel: (3,) requested displacement in that time, cm and radians; None for any.
 
     Returns:
         Embeddings (frames + 1 + AFTER, 24), phases (frames + 1,) and ground (frames + 1, 3); None if no recording is
@@ -141,13 +141,13 @@ def _stretch(
             share = np.minimum(np.arange(frames + 1 + AFTER) / frames, 1.0)[:, None]
             left = smoothed_step(1.0 - np.maximum(np.arange(-frames, AFTER + 1), 0) / AFTER)[:, None]
             gap = lerp(start - poses[at], end - poses[at + frames], share) * left
-            shown = poses[np.minimum(at + np.arange(len(gap)), len(poses) - 1)] + gap
+            blended = poses[np.minimum(at + np.arange(len(gap)), len(poses) - 1)] + gap
             rows = slice(at, at + frames + 1)
-            best, found = float(cost[at]), (shown.astype(np.float32), clip.phases[rows], clip.ground[rows])
+            best, found = float(cost[at]), (blended.astype(np.float32), clip.phases[rows], clip.ground[rows])
     return found
 
 
-def recorded_way(way: Array, stretches: Sequence[Stretch], begin: Array) -> Array:
+def recorded_path(path: Array, stretches: Sequence[Stretch], begin: Array) -> Array:
     """Replace the path (T, 3) by recorded paths where recordings lead to keys.
 
     A body that flips or rolls moves and faces as recorded, not along a curve. The error at the end of a recorded path
@@ -156,16 +156,16 @@ def recorded_way(way: Array, stretches: Sequence[Stretch], begin: Array) -> Arra
     Args:
         begin: (3,) place before the first frame.
     """
-    out = way.copy()
+    out = path.copy()
     for stretch in stretches:
-        if stretch.end >= len(way):
+        if stretch.end >= len(path):
             continue
-        start = begin.astype(np.float64) if stretch.first < 0 else way[stretch.first]
-        gone = _travel(
+        start = begin.astype(np.float64) if stretch.first < 0 else path[stretch.first]
+        travelled = _travel(
             np.repeat(stretch.ground[:1].astype(np.float64), len(stretch.ground), axis=0), stretch.ground
         )
-        made = start + np.concatenate([rotate_ground(start[2], gone[:, :2]), gone[:, 2:]], axis=1)
-        gap = way[stretch.end] - made[-1]
+        made = start + np.concatenate([rotate_ground(start[2], travelled[:, :2]), travelled[:, 2:]], axis=1)
+        gap = path[stretch.end] - made[-1]
         gap[2] = wrap_angle(gap[2:])[0]
         made += np.linspace(0.0, 1.0, len(made))[:, None] * gap
         out[max(stretch.first, 0) : stretch.end + 1] = made[max(-stretch.first, 0) :]
@@ -180,69 +180,71 @@ class KeyedController:
         model: MotionModel,
         base: Controller,
         plan: Plan,
-        begin: Opening,
+        begin: CharacterStart,
         share: float,
     ) -> None:
         """Take a plan with keys; share is the leg length relative to that of the default body."""
         self.model, self.base, keys = model, base, plan.keys
-        self.way = planned_way(keys, begin.start.ground[0], model.fps, share)
-        self.stretches = matched_stretches(model, keys, begin, plan.track, self.way)
-        if self.way is not None:
-            self.way = recorded_way(self.way, self.stretches, begin.start.ground[0])
+        self.path = planned_path(keys, begin.start.ground[0], model.fps, share)
+        self.stretches = matched_stretches(model, keys, begin, plan.track, self.path)
+        if self.path is not None:
+            self.path = recorded_path(self.path, self.stretches, begin.start.ground[0])
         self.steered = np.array([known.kind.steered for known in model.types.values()], np.float32)
         met = {stretch.end for stretch in self.stretches}
         poses = [(round(key.seconds * model.fps), key.pose.embedding) for key in keys if key.pose is not None]
         self.poses = [pose for pose in poses if pose[0] not in met]
 
     def __call__(self, frame: int, ground: Array) -> Controls:
-        asked = self.base(frame, ground)
-        if self.way is not None and frame < len(self.way):
-            asked = self._led(asked, frame, ground)
+        controls = self.base(frame, ground)
+        if self.path is not None and frame < len(self.path):
+            controls = self._on_path(controls, frame, ground)
         if not self.model.uses_references:
-            return asked
+            return controls
         now = [stretch for stretch in self.stretches if stretch.first <= frame]
-        return self._shown(self._recorded(asked, now[-1], frame) if now else asked, frame)
+        return self._with_key_poses(self._recorded(controls, now[-1], frame) if now else controls, frame)
 
-    def _recorded(self, asked: Controls, stretch: Stretch, frame: int) -> Controls:
-        """Replace the reference by a stretch; after its key it fades out over SHOWN_SECONDS."""
-        past = max(0, frame - stretch.end) / (SHOWN_SECONDS * self.model.fps)
+    def _recorded(self, controls: Controls, stretch: Stretch, frame: int) -> Controls:
+        """Replace the reference by a stretch; after its key it fades out over KEY_POSE_SECONDS."""
+        past = max(0, frame - stretch.end) / (KEY_POSE_SECONDS * self.model.fps)
         share = float(smoothed_step(np.array(1.0 - past)))
         if share <= 0.0:
-            return asked
-        shown = reference_signal(stretch.poses, np.array([frame - stretch.first]))
-        known, gain = asked.reference_gain[:, None] > 0.0, asked.reference_gain
-        asked = replace(
-            asked,
-            reference=lerp(np.where(known, asked.reference, shown), shown, share).astype(np.float32),
+            return controls
+        reference = reference_signal(stretch.poses, np.array([frame - stretch.first]))
+        known, gain = controls.reference_gain[:, None] > 0.0, controls.reference_gain
+        controls = replace(
+            controls,
+            reference=lerp(np.where(known, controls.reference, reference), reference, share).astype(
+                np.float32
+            ),
             reference_gain=lerp(gain, np.full_like(gain, stretch.gain), share).astype(np.float32),
         )
         if frame >= stretch.end:
-            return asked
+            return controls
         # The base controller plays another recording; its phase would slow the body down or hurry it.
-        return replace(asked, phase=np.full_like(asked.phase, stretch.phases[frame - stretch.first]))
+        return replace(controls, phase=np.full_like(controls.phase, stretch.phases[frame - stretch.first]))
 
-    def _led(self, asked: Controls, frame: int, ground: Array) -> Controls:
+    def _on_path(self, controls: Controls, frame: int, ground: Array) -> Controls:
         """Replace the trajectory by the planned path; gaits follow it without reference poses."""
-        assert self.way is not None
-        ahead = self.way[np.minimum(frame + np.array(TRAJECTORY_OFFSETS), len(self.way) - 1)]
+        assert self.path is not None
+        ahead = self.path[np.minimum(frame + np.array(TRAJECTORY_OFFSETS), len(self.path) - 1)]
         heading = ground[:, 2:3]
         places = rotate_ground(-heading, ahead[None, :, :2] - ground[:, None, :2])
         facing = ahead[None, :, 2] - heading
         directions = np.stack([np.sin(facing), np.cos(facing)], axis=-1)
         count = len(ground)
         trajectory = np.concatenate([places.reshape(count, -1), directions.reshape(count, -1)], axis=-1)
-        free = 1.0 - asked.type_weights @ self.steered
+        free = 1.0 - controls.type_weights @ self.steered
         return replace(
-            asked,
+            controls,
             trajectory=trajectory.astype(np.float32),
-            reference_gain=asked.reference_gain * free.astype(np.float32),
-            slip_correction=np.zeros_like(asked.slip_correction),
+            reference_gain=controls.reference_gain * free.astype(np.float32),
+            slip_correction=np.zeros_like(controls.slip_correction),
         ).with_mask(1.0)
 
-    def _shown(self, asked: Controls, frame: int) -> Controls:
+    def _with_key_poses(self, controls: Controls, frame: int) -> Controls:
         """Add the poses of keys without a stretch to the reference poses."""
-        reference, gain = asked.reference.copy(), asked.reference_gain.copy()
-        wide = SHOWN_SECONDS * self.model.fps
+        reference, gain = controls.reference.copy(), controls.reference_gain.copy()
+        wide = KEY_POSE_SECONDS * self.model.fps
         preset = max(kind.preset.reference_gain for kind in self.model.types.values())
         for at, embedding in self.poses:
             for block, offset in enumerate(REFERENCE_OFFSETS):
@@ -252,10 +254,10 @@ class KeyedController:
                 reference[:, columns] = lerp(known, embedding, share)
             nearest = float(smoothed_step(np.array(1.0 - (at - frame) / wide))) if frame <= at else 0.0
             gain = np.maximum(gain, np.float32(preset * nearest))
-        return replace(asked, reference=reference, reference_gain=gain)
+        return replace(controls, reference=reference, reference_gain=gain)
 
 
-def planned_way(keys: Sequence[Key], start: Array, fps: float, share: float) -> Array | None:
+def planned_path(keys: Sequence[Key], start: Array, fps: float, share: float) -> Array | None:
     """Place and heading (T, 3) of every frame up to the last key with a place or facing; None without such a key.
 
     Args:
@@ -275,9 +277,9 @@ def planned_way(keys: Sequence[Key], start: Array, fps: float, share: float) -> 
             goal = goal - ahead * min(1.0, AHEAD / share / max(float(np.linalg.norm(ahead)), 1e-6))
         places.append(goal)
     frames = np.arange(last + 1)
-    way = np.empty((last + 1, 3))
-    way[:, :2] = _curve(times, np.stack(places), frames)
-    steps = np.gradient(way[:, :2], axis=0) * fps if last else np.zeros((1, 2))
+    path = np.empty((last + 1, 3))
+    path[:, :2] = _curve(times, np.stack(places), frames)
+    steps = np.gradient(path[:, :2], axis=0) * fps if last else np.zeros((1, 2))
     heading, now = np.empty(last + 1), float(start[2])
     for frame in range(last + 1):
         if float(np.linalg.norm(steps[frame])) > STANDING:
@@ -289,8 +291,8 @@ def planned_way(keys: Sequence[Key], start: Array, fps: float, share: float) -> 
             at = round(key.seconds * fps)
             gap = float(wrap_angle(np.array([key.facing - heading[min(at, last)]]))[0])
             heading = heading + gap * smoothed_step(1.0 - np.abs(frames - at) / (TURN_SECONDS * fps))
-    way[:, 2] = heading
-    return way
+    path[:, 2] = heading
+    return path
 
 
 def _curve(times: Array, places: Array, frames: Array) -> Array:
@@ -348,7 +350,7 @@ def _heading(motion: Motion, frame: int) -> float:
     return float(heading_angles(motion_kinematics(near)[1], motion.fps)[frame - max(0, frame - 30)])
 
 
-def _wanted(motion: Motion, key: Key) -> tuple[Array, Array]:
+def _target(motion: Motion, key: Key) -> tuple[Array, Array]:
     """Local rotations (23, 4) and root (3,) of a key's frame before joints reach for their points."""
     frame = _frame(motion, key)
     rotations, root = motion.local_rotations[frame].copy(), motion.root_positions[frame].copy()
@@ -372,7 +374,7 @@ def _reached(motion: Motion, key: Key) -> tuple[Array, Array]:
     Raises:
         ControlError: a joint is out of reach.
     """
-    rotations, root = _wanted(motion, key)
+    rotations, root = _target(motion, key)
     if not key.joints:
         return rotations, root
     if key.position is None:  # move the root to within reach of the points
@@ -440,9 +442,9 @@ def _posed(motion: Motion, key: Key, around: Sequence[float]) -> Motion:
     turns = key.pose.turns.copy()
     turns[0] = quat_rotate(turn, turns[0])
     step = quat_rotate(turn, key.pose.step) * leg_length(motion.skeleton)
-    own_turns, own_step = _speeds(made, frame)
+    made_turns, made_step = _speeds(made, frame)
     slope = (away * share)[:, None]
-    return _offset(made, slope[..., None] * (turns - own_turns), slope * (step - own_step))
+    return _offset(made, slope[..., None] * (turns - made_turns), slope * (step - made_step))
 
 
 def _continued(motion: Motion, before: Motion, frames: int) -> Motion:
@@ -495,9 +497,9 @@ def arrival(motion: Motion, key: Key) -> tuple[float, float]:
     if key.facing is not None:
         angles.append(abs(float(np.rad2deg(wrap_angle(np.array([key.facing - heading]))[0]))))
     if key.pose is not None and not key.joints:
-        own = motion.local_rotations[frame].copy()
-        wanted = key.pose.rotations.copy()
-        own[0] = quat_multiply(quat_from_yaw(np.array(-heading, np.float32)), own[0])
-        gap = quat_to_expmap(quat_multiply(quat_inverse(wanted), own))
+        current = motion.local_rotations[frame].copy()
+        target = key.pose.rotations.copy()
+        current[0] = quat_multiply(quat_from_yaw(np.array(-heading, np.float32)), current[0])
+        gap = quat_to_expmap(quat_multiply(quat_inverse(target), current))
         angles.append(float(np.rad2deg(np.linalg.norm(gap, axis=-1)).max()))
     return max(distances), max(angles)

@@ -49,21 +49,21 @@ def _velocities(ground: Array, fps: float) -> Array:
     return moved * (fps / np.maximum(after - before, 1))[:, None]
 
 
-def asked_speed(trajectory: Array, fps: float) -> float:
+def trajectory_speed(trajectory: Array, fps: float) -> float:
     """Mean straight-line speed in cm/s from the present place to the last place of a trajectory (24,)."""
     count = 2 * len(TRAJECTORY_OFFSETS)
     return float(np.linalg.norm(trajectory[count - 2 : count])) * fps / TRAJECTORY_OFFSETS[-1]
 
 
-def at_speed(asked: Controls, speed: float, fps: float, where: Array) -> Controls:
+def at_speed(controls: Controls, speed: float, fps: float, where: Array) -> Controls:
     """Change the distances of trajectories (T, 24) to those at a speed in cm/s, in the frames that where (T,) marks."""
-    places = asked.trajectory[:, : 2 * len(TRAJECTORY_OFFSETS)].reshape(-1, len(TRAJECTORY_OFFSETS), 2)
-    wanted = np.array(TRAJECTORY_OFFSETS, np.float32) * np.float32(speed / fps)
-    factors = wanted / np.maximum(np.linalg.norm(places, axis=-1), 1e-6)
+    places = controls.trajectory[:, : 2 * len(TRAJECTORY_OFFSETS)].reshape(-1, len(TRAJECTORY_OFFSETS), 2)
+    distances = np.array(TRAJECTORY_OFFSETS, np.float32) * np.float32(speed / fps)
+    factors = distances / np.maximum(np.linalg.norm(places, axis=-1), 1e-6)
     factors = np.where(where[:, None], np.clip(factors, 1.0 - CORRECTED, 1.0 + CORRECTED), 1.0)[..., None]
-    trajectory = asked.trajectory.copy()
+    trajectory = controls.trajectory.copy()
     trajectory[:, : 2 * len(TRAJECTORY_OFFSETS)] = (places * factors).reshape(len(trajectory), -1)
-    return replace(asked, trajectory=trajectory)
+    return replace(controls, trajectory=trajectory)
 
 
 def carried_speeds(speeds: Array, before: float, fps: float, change: float = CHANGE) -> Array:
@@ -76,7 +76,7 @@ def carried_speeds(speeds: Array, before: float, fps: float, change: float = CHA
 
 
 def carried_over(
-    asked: Controls, ground: Array, before: float, fps: float, change: float = CHANGE
+    controls: Controls, ground: Array, before: float, fps: float, change: float = CHANGE
 ) -> Controls:
     """Change the first trajectories of controls (T, ...) so that the body keeps its speed `before` (cm/s) at first.
 
@@ -86,11 +86,11 @@ def carried_over(
     """
     speeds = forward_speeds(ground, fps)
     if abs(before - float(speeds[0])) < LEAST:
-        return asked
+        return controls
     ramp = carried_speeds(speeds, before, fps, change)
-    count = min(len(ramp), len(asked.phase))
+    count = min(len(ramp), len(controls.phase))
     if not count:
-        return asked
+        return controls
     more = np.concatenate([[0.0], np.cumsum(ramp - speeds[: len(ramp)]) / fps])  # cm further than recorded
     frames = np.arange(count)
     ends = np.minimum(frames[:, None] + np.array(TRAJECTORY_OFFSETS), len(ramp))
@@ -98,6 +98,6 @@ def carried_over(
     trajectory[:, 1 : 2 * len(TRAJECTORY_OFFSETS) : 2] += (more[ends] - more[frames][:, None]).astype(
         np.float32
     )
-    trajectories, masks = asked.trajectory.copy(), asked.trajectory_mask.copy()
+    trajectories, masks = controls.trajectory.copy(), controls.trajectory_mask.copy()
     trajectories[:count], masks[:count] = trajectory, 1.0
-    return replace(asked, trajectory=trajectories, trajectory_mask=masks)
+    return replace(controls, trajectory=trajectories, trajectory_mask=masks)

@@ -58,8 +58,8 @@ class MotionIndex:
                 it do not count, because in a slow motion the same second would play again and again.
             gain: see stay.
         """
-        wanted = np.concatenate([state.reshape(-1), _scaled(trajectory)])
-        all_costs = np.square(self._features - wanted).sum(axis=1)
+        query = np.concatenate([state.reshape(-1), _scaled(trajectory)])
+        all_costs = np.square(self._features - query).sum(axis=1)
         costs = np.where((self.left >= least) & self.moves, all_costs, np.inf)
         if stay is not None:
             costs[max(0, stay - NEARBY) : stay + NEARBY] = np.inf

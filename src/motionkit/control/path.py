@@ -8,19 +8,21 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
+from ctypes import byref
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from motionkit.arrays import Array, normalized
-from motionkit.errors import ControlError
+from motionkit.arrays import Array, length
+from motionkit.control.steering_kernel import Part, steering_library
+from motionkit.errors import ControlError, naming
 from motionkit.files import parse_json, read_text
 from motionkit.names import nfc, unknown_name
 
 METRE = 100.0
-SPACING = 2.0  # cm between the points a path is resampled to
+SPACING = 2.0  # cm between the points a path is resampled to, as steering_kernel.c has it
 MAX_LENGTH = 10_000 * METRE
 MAX_COORDINATE = 1e6  # metres
 MAX_TYPE = 100  # letters
@@ -65,78 +67,28 @@ class Path2D:
         """Arc length in cm."""
         return (len(self.points) - 1) * SPACING
 
-    def at(self, arc: Array) -> tuple[Array, Array]:
-        """Points and unit directions (..., 2) at arc lengths (...); straight on beyond the ends."""
-        last = len(self.points) - 1
-        place = arc / SPACING
-        index = np.clip(np.floor(place), 0, last - 1).astype(np.int64)
-        share = np.clip(place - index, 0.0, 1.0)[..., None]
-        beyond = np.maximum(arc - self.length, 0.0)[..., None]
-        before = np.minimum(arc, 0.0)[..., None]
-        points = self.points[index] * (1 - share) + self.points[index + 1] * share
-        tangents = self.tangents[index] * (1 - share) + self.tangents[index + 1] * share
-        points = points + beyond * self.tangents[last] + before * self.tangents[0]
-        return points, normalized(tangents)
-
-    @property
-    def stops(self) -> tuple[tuple[float, float], ...]:
-        """Stops in the order of the path: arc lengths in cm, and seconds to stand still."""
-        ends = np.searchsorted(self.part, np.arange(len(self.parts)), side="right") * SPACING
-        return tuple(
-            (min(float(end), self.length), part.stop)
-            for end, part in zip(ends, self.parts, strict=True)
-            if part.stop
-        )
-
-    def part_at(self, arc: Array | float) -> Array:
-        """Index (...) of the part at arc lengths (...)."""
-        return self.part[self.nearest(arc)]
-
-    def nearest(self, arc: Array | float) -> Array:
-        """Index (...) of the point nearest to arc lengths (...)."""
-        return np.clip(np.round(arc / SPACING), 0, len(self.points) - 1).astype(np.int64)
-
 
 def make_path(parts: list[PathPart]) -> Path2D:
     """Join parts end to end; raises ControlError for a part shorter than 4 cm or a path that is too long."""
     if not parts:
         raise ControlError("the path has no parts")
-    pieces: list[Array] = []
-    ends: list[float] = []
-    total = 0.0
-    previous: Array | None = None
-    for number, part in enumerate(parts, 1):
-        points = part.points.astype(np.float64)
-        if previous is not None:
-            points = np.concatenate([previous[None], points])
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
-        keep = np.concatenate([[True], steps > 1e-6])
-        length = float(steps.sum())
-        if length < 2 * SPACING:
+    corners = np.concatenate([part.points for part in parts]).astype(np.float64)
+    last = np.cumsum([len(part.points) for part in parts]) - 1
+    arcs = np.pad(length(np.diff(corners, axis=0)).cumsum(), (1, 0))[np.maximum(last, 0)]
+    for number, (part, size) in enumerate(zip(parts, np.diff(arcs, prepend=0.0), strict=True), 1):
+        if size < 2 * SPACING:
             raise ControlError(
-                f"part {number} of the path ({part.type}) is {length:.1f} cm long, expected at least 4 cm"
+                f"part {number} of the path ({part.type}) is {size:.1f} cm long, expected at least 4 cm"
             )
-        total += length
-        if total > MAX_LENGTH:
-            raise ControlError(f"the path is longer than {MAX_LENGTH / METRE:g} m")
-        kept = points[keep]
-        pieces.append(kept if previous is None else kept[1:])
-        ends.append(total)
-        previous = points[-1]
-    corners = np.concatenate(pieces)
-    arc = np.concatenate([[0.0], np.linalg.norm(np.diff(corners, axis=0), axis=-1).cumsum()])
-    count = max(3, int(total / SPACING) + 1)
-    wanted = np.arange(count, dtype=np.float64) * SPACING
-    right = np.clip(np.searchsorted(arc, np.minimum(wanted, float(arc[-1]))), 1, len(arc) - 1)
-    share = np.clip((wanted - arc[right - 1]) / (arc[right] - arc[right - 1]), 0.0, 1.0)[:, None]
-    points = corners[right - 1] * (1 - share) + corners[right] * share
-    part_index = np.minimum(np.searchsorted(np.array(ends, np.float64), wanted), len(parts) - 1)
-    return Path2D(points.astype(np.float32), _tangents(points).astype(np.float32), part_index, tuple(parts))
-
-
-def _tangents(points: Array) -> Array:
-    ahead = np.concatenate([points[1:], points[-1:]]) - np.concatenate([points[:1], points[:-1]])
-    return normalized(ahead)
+    if arcs[-1] > MAX_LENGTH:
+        raise ControlError(f"the path is longer than {MAX_LENGTH / METRE:g} m")
+    library, words = steering_library(), (Part * len(parts))(*(Part(last=number) for number in last.tolist()))
+    count = library.path_points(corners.ctypes.data, len(corners))
+    points, tangents = np.zeros((2, count, 2))
+    part_index = np.zeros(count, np.int32)
+    made = (array.ctypes.data for array in (points, tangents, part_index))
+    library.even_points(corners.ctypes.data, byref(words), len(parts), count, *made)
+    return Path2D(points, tangents, part_index, tuple(parts))
 
 
 # ---- named shapes ----
@@ -256,14 +208,12 @@ def read_path(file: str | Path) -> Path2D:
     file = Path(file)
     from motionkit.rig.read_file import ENDINGS
 
-    if file.suffix.lower() in ENDINGS:
+    if file.suffix.lower() in ENDINGS and file.exists():
         raise ControlError(f"{file}: is a motion, expected a path: a JSON or CSV file, or a named shape")
     text = read_text(file, "a path", ControlError)
     parts = _csv_parts(file, text) if file.suffix.lower() == ".csv" else _json_parts(file, text)
-    try:
+    with naming(file, ControlError):
         return make_path(parts)
-    except ControlError as error:
-        raise ControlError(f"{file}: {error}") from None
 
 
 _FIELDS = ("type", "points", "speed", "stop")

@@ -1,24 +1,30 @@
-"""The place of a character on its path: its arc length, and the stop at which it stands."""
+"""The route of a character along a path, planned before its first frame, and its place on it.
+
+steering_kernel.c does both, for Python and for web pages.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from ctypes import Array as CArray
+from ctypes import Structure, addressof, byref, c_double, c_float, c_int32, c_void_p
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.path import SPACING
-from motionkit.control.plan import Route
-from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES
+from motionkit.control.path import SPACING, Path2D
+from motionkit.control.speeds import PROFILE, ProfileSettings, lateral_limit
+from motionkit.control.steering import Steering, or_nan, usual_gaits
+from motionkit.control.steering_kernel import Part, doubles, steering_library
+from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES
+from motionkit.models.model import MotionModel
 
 
 @dataclass(frozen=True)
 class SearchSettings:
     """Limits of the search for the place on a path; all numbers are chosen.
 
-    The search range is short, so that a character does not cut off a loop where its path crosses itself.
+    The range is short, so that a character does not cut off a loop where its path crosses itself.
     """
 
     behind: float = 30.0  # cm searched behind the last place
@@ -33,87 +39,109 @@ class SearchSettings:
 SEARCH = SearchSettings()
 
 
-class PathPlace:
-    """Tracks the arc length of a character on a path, and the stops ahead."""
+class _Path(Structure):
+    _fields_ = (
+        ("fps", c_double), ("profile", doubles(ProfileSettings)), ("search", doubles(SearchSettings)),
+        *((name, c_double) for name in ("arc", "least")), ("ahead", c_double * len(TRAJECTORY_OFFSETS)),
+        *((name, c_void_p) for name in "parts points tangents part speeds track weights".split()),
+        *((name, c_int32) for name in "count part_count type_count blend stand".split()),
+        *((name, c_int32) for name in "stop stood present goes_on at_end".split()),
+        ("trajectory", c_float * TRAJECTORY_COUNT),
+    )  # fmt: skip
 
-    def __init__(self, route: Route, fps: float) -> None:
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """How a character follows a path.
+
+    Attributes:
+        path: the path.
+        speeds: (N,) cm/s at each of its points. They change by at most PROFILE.acceleration at stops and turns.
+        track: (N,) type id at each point: a run becomes a walk where the path is slower than any recorded run.
+        parts, words: the structs of its parts, and of a character at its beginning.
+    """
+
+    path: Path2D
+    speeds: Array
+    track: Array
+    parts: CArray[Part]
+    words: _Path
+
+    @property
+    def facings(self) -> Array:
+        """For each part, the angle in radians from the heading of the body to its direction of travel."""
+        return np.array([part.facing for part in self.parts])
+
+
+def path_words(model: MotionModel) -> _Path:
+    """The struct of a character of a model on a path that is not known yet."""
+    stand = usual_gaits(model).stand
+    return _Path(
+        model.fps, astuple(PROFILE), astuple(SEARCH), type_count=len(model.types),
+        blend=TYPE_BLEND_FRAMES, stand=-1 if stand is None else model.type_id(stand),
+    )  # fmt: skip
+
+
+def plan_route(model: MotionModel, path: Path2D) -> Route:
+    """Plan speeds and types along a path; raises ControlError for an unknown type."""
+    parts = (Part * len(path.parts))(
+        *(
+            Part(
+                or_nan(part.speed), lateral_limit(model, part.type), part.stop, type=model.type_id(part.type)
+            )
+            for part in path.parts
+        )
+    )
+    words, count = path_words(model), len(path.points)
+    speeds, track = np.zeros(count), np.zeros(count, np.int32)
+    words.count, words.part_count, words.parts = count, len(parts), addressof(parts)
+    for name in ("points", "tangents", "part"):
+        setattr(words, name, getattr(path, name).ctypes.data)
+    words.speeds, words.track = speeds.ctypes.data, track.ctypes.data
+    steering = Steering(model)
+    steering_library().plan_path(byref(steering.words), byref(words))
+    return Route(path, speeds, track, parts, words)
+
+
+class PathPlace:
+    """The place of a character on its route: its arc length, and the stop at which it stands."""
+
+    def __init__(self, route: Route) -> None:
         """Begin at the beginning of the path."""
-        self.route, self.path, self.fps = route, route.path, fps
-        self.stops = list(route.path.stops)  # stops ahead
-        self.stood: int | None = None  # frames since the character reached the present stop
-        self.arc = self.least = 0.0  # cm; the search never goes back beyond `least`
+        self.route = route
+        self.words = _Path.from_buffer_copy(route.words)
+        self.weights = self.type_weights(0.0)
+        self.words.weights = self.weights.ctypes.data
+
+    @property
+    def arc(self) -> float:
+        """Arc length in cm."""
+        return float(self.words.arc)
 
     @property
     def finished(self) -> bool:
         """Whether the character has reached the end and no stop is left."""
-        return self.at_end and not self.stops
+        return self.at_end and self.words.stop == self.words.part_count
 
     @property
     def at_end(self) -> bool:
         """Whether the character has reached the end of the path."""
-        return self.arc >= self.path.length - SPACING
+        return bool(self.words.at_end)
 
     @property
     def share(self) -> float:
         """The share of the path that is done."""
-        return min(1.0, self.arc / max(self.path.length - SPACING, SPACING))
+        return min(1.0, self.arc / max(self.route.path.length - SPACING, SPACING))
 
-    def move(self, point: Array) -> None:
-        """Find the place of a body that is at a point (2,)."""
-        arc = self._nearest(point)
-        # Where a path turns back on itself, way out and way back are equally near. A body that has no distance left to
-        # a place beyond the turn is on the way back, and stays on it.
-        self.arc, beyond = arc, self.ahead(TRAJECTORY_OFFSETS[:1], arc)
-        (there,), (way_back,) = self.path.at(beyond)
-        way = self.path.tangents[self.path.nearest(arc)]
-        if float(way_back @ way) < SEARCH.back and float((there - point) @ way) < SEARCH.no_further:
-            if float(np.linalg.norm(there - point)) < SEARCH.beside:
-                self.least = self.arc = float(beyond[0])
+    def move(self, ground: Array) -> float:
+        """Find the place of a body at ground (3,), its trajectory and type weights; returns the share of standing.
 
-    def standing(self) -> float:
-        """Share of standing in the type weights of this frame; it rises and falls over half a blend at a stop."""
-        if not self.stops:
-            return 0.0
-        place, seconds = self.stops[0]
-        if self.stood is None:
-            if self.arc < place - SEARCH.arrived:
-                return 0.0
-            self.stood = 0
-        self.stood += 1
-        left, half = round(seconds * self.fps) - self.stood, TYPE_BLEND_FRAMES // 2
-        if left < 0:
-            self.stood = None
-            del self.stops[0]
-            return 0.0
-        return min(self.stood, left, half) / half
+        It rises and falls over half a blend at a stop.
+        """
+        return float(steering_library().follow(byref(self.words), *ground.tolist()))
 
-    def ahead(self, frames: Sequence[int], start: float) -> Array:
-        """Arc lengths at some frames (sorted, from 1) ahead of an arc length, at the speeds of the path."""
-        out, arc, frame = [], start, 0
-        end = self.stops[0][0] if self.stops else math.inf
-        for wanted in frames:
-            while frame < wanted:
-                step = min(5, wanted - frame)
-                arc = min(arc + self.speed_at(arc) * step / self.fps, max(end, start))
-                frame += step
-            out.append(arc)
-        return np.array(out, np.float32)
-
-    def speed_at(self, arc: float) -> float:
-        """Speed in cm/s at an arc length."""
-        return float(self.route.speeds[self.path.nearest(arc)])
-
-    def _nearest(self, point: Array) -> float:
-        first = max(0, int(max(self.arc - SEARCH.behind, self.least) / SPACING))
-        last = min(len(self.path.points), int((self.arc + SEARCH.ahead) / SPACING) + 2)
-        away = np.linalg.norm(self.path.points[first:last] - point, axis=-1)
-        nearest = first + int(away.argmin())
-        # The way back must be clearly nearer than the way out.
-        ways = self.path.tangents[first:last] @ self.path.tangents[self.path.nearest(self.arc)]
-        if float(ways[nearest - first]) < SEARCH.back:
-            there = np.flatnonzero((ways > 0.0) & (away < away.min() + SEARCH.nearer))
-            nearest = first + int(there[away[there].argmin()]) if len(there) else nearest
-        # Beyond the last point, arc length grows along its direction, so that the character can reach the end.
-        beyond = float(((point - self.path.points[-1]) * self.path.tangents[-1]).sum())
-        arc = nearest * SPACING
-        return arc + max(0.0, beyond) if nearest == len(self.path.points) - 1 else arc
+    def type_weights(self, arc: float) -> Array:
+        """Type weights (N,) at an arc length: the mean over half a blend behind and half a blend ahead."""
+        weights = np.zeros(self.words.type_count, np.float32)
+        steering_library().path_weights(byref(self.words), arc, 0.0, weights.ctypes.data)
+        return weights

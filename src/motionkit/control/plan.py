@@ -12,12 +12,11 @@ from functools import cached_property
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.character_start import StartState
 from motionkit.control.keys import Key, check_length
-from motionkit.control.opening import Shown
 from motionkit.control.path import SPACING, Path2D
+from motionkit.control.path_place import Route, plan_route
 from motionkit.control.script import TypePart
-from motionkit.control.speeds import shown_types, speed_profile
-from motionkit.control.steering import usual_gaits
 from motionkit.features.control import TYPE_BLEND_FRAMES, blend_types
 from motionkit.features.reference import PAUSE
 from motionkit.models.model import MotionModel
@@ -33,40 +32,23 @@ class Segment:
         seconds: its duration; on a path, at the speeds of the plan.
         first: its first row in the plan's track.
         count: number of its rows.
-        settles: whether the body stops here after another type and then follows recordings of standing.
+        stops: whether the body stops here after another type and then follows recordings of standing.
     """
 
     type: str
     seconds: float
     first: int
     count: int
-    settles: bool = False
+    stops: bool = False
 
 
 @dataclass(frozen=True)
-class Stand:
+class StandingSpan:
     """A span of frames, from first to end (exclusive) or to the end of the plan, in which the body stands."""
 
     type: str
     first: int
     end: int | None
-
-
-@dataclass(frozen=True, eq=False)
-class Route:
-    """How a character follows a path.
-
-    Attributes:
-        path: the path.
-        speeds: (N,) cm/s at each of its points.
-        facings: for each part, the angle in radians from the heading of the body to its direction of travel.
-        stand: type id of standing at stops; None if the model has no such type.
-    """
-
-    path: Path2D
-    speeds: Array
-    facings: Array
-    stand: int | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +60,7 @@ class Plan:
         track: (T,) type id of every frame, or of every point of a path.
         type_count: number of motion types of the model.
         seconds: duration of the plan.
-        shown: what the frames before the motion show; None if unknown.
+        start_state: what the frames before the motion show; None if unknown.
         keys: keys to meet.
         route: the path to follow; None for types in time.
         blend: length in frames of a change of type.
@@ -88,7 +70,7 @@ class Plan:
     track: Array
     type_count: int
     seconds: float
-    shown: Shown | None = None
+    start_state: StartState | None = None
     keys: tuple[Key, ...] = ()
     route: Route | None = None
     blend: int = TYPE_BLEND_FRAMES
@@ -104,17 +86,17 @@ class Plan:
         return blend_types(self.track, self.type_count, self.blend)
 
     @property
-    def stands(self) -> list[Stand]:
+    def standing_spans(self) -> list[StandingSpan]:
         """Where the body stands after other types."""
         out = []
         for number, segment in enumerate(self.segments):
-            if segment.settles:
+            if segment.stops:
                 others = (each.first for each in self.segments[number:] if each.type != segment.type)
-                out.append(Stand(segment.type, segment.first, next(others, None)))
+                out.append(StandingSpan(segment.type, segment.first, next(others, None)))
         return out
 
 
-def plan_types(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = None) -> Plan:
+def plan_types(model: MotionModel, parts: Sequence[TypePart], start_state: StartState | None = None) -> Plan:
     """Plan motion types one after another; performances are whole, less the frames of the first already shown.
 
     Raises:
@@ -123,14 +105,14 @@ def plan_types(model: MotionModel, parts: Sequence[TypePart], shown: Shown | Non
     segments: list[Segment] = []
     ids = [model.type_id(part.type) for part in parts]
     first, before = 0, None
-    for part in whole_performances(model, parts, 0 if shown is None else shown.behind):
+    for part in whole_performances(model, parts, 0 if start_state is None else start_state.behind):
         frames = max(1, round(part.seconds * model.fps))
-        settles = before not in (None, part.type) and _settles(model, part.type)
-        segments.append(Segment(part.type, part.seconds, first, frames, settles))
+        stops = before not in (None, part.type) and _stops(model, part.type)
+        segments.append(Segment(part.type, part.seconds, first, frames, stops))
         first, before = first + frames, part.type
     track = np.repeat(ids, [segment.count for segment in segments])
     seconds = sum(segment.seconds for segment in segments)
-    return Plan(tuple(segments), track, len(model.types), seconds, shown)
+    return Plan(tuple(segments), track, len(model.types), seconds, start_state)
 
 
 def plan_keys(plan: Plan, keys: tuple[Key, ...]) -> Plan:
@@ -145,20 +127,15 @@ def plan_path(model: MotionModel, path: Path2D) -> Plan:
     Raises:
         ControlError: for an unknown type.
     """
-    speeds = speed_profile(model, path)
-    track = shown_types(model, path, speeds)
-    gaits = [model.types[part.type].gait for part in path.parts]
-    facings = np.array([0.0 if gait is None else gait.facing for gait in gaits], np.float32)
-    stand = usual_gaits(model).stand
+    route = plan_route(model, path)
     edges = np.searchsorted(path.part, np.arange(len(path.parts) + 1)).tolist()
-    seconds = SPACING / speeds
+    seconds = SPACING / route.speeds
     segments = [
         Segment(part.type, float(seconds[first:end].sum()) + part.stop, first, end - first)
         for part, first, end in zip(path.parts, edges, edges[1:], strict=False)
     ]
-    route = Route(path, speeds, facings, None if stand is None else model.type_id(stand))
-    takes = float(seconds.sum()) + sum(stop for _, stop in path.stops)
-    return Plan(tuple(segments), track, len(model.types), takes, route=route)
+    takes = float(seconds.sum()) + sum(part.stop for part in path.parts)
+    return Plan(tuple(segments), route.track, len(model.types), takes, route=route)
 
 
 def whole_performances(model: MotionModel, parts: Sequence[TypePart], behind: int = 0) -> list[TypePart]:
@@ -190,7 +167,7 @@ def whole_performances(model: MotionModel, parts: Sequence[TypePart], behind: in
     return out
 
 
-def _settles(model: MotionModel, kind: str) -> bool:
+def _stops(model: MotionModel, kind: str) -> bool:
     """Whether a type is standing and has recordings to follow."""
-    stands = model.kind(kind) is MotionKind.STANCE
-    return stands and model.uses_references and bool(model.types[kind].reference_clips)
+    idle = model.kind(kind) is MotionKind.STANCE
+    return idle and model.uses_references and bool(model.types[kind].reference_clips)

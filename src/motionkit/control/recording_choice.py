@@ -55,7 +55,7 @@ class GaitSettings:
         pace: differences between the speed of the recording and that of the stay, as shares of the latter: the largest
             at an entry, and the one at which the recording is left.
         clips: clips of which the frame most like the present pose is entered, since one may have no such stride.
-        before: frames before an entry, for a pose alone does not tell which way the legs swing.
+        before: frames before an entry, because a pose alone does not show how the legs swing.
         ahead: frames before the last pose is held at which a clip is left: references look ahead.
     """
 
@@ -174,7 +174,7 @@ class RecordingChoice:
         self._indices: dict[str, MotionIndex] = {}
         self._gait_clips: dict[ReferenceClip, GaitClip] = {}
 
-    def stand(self, kind: str, stance: Array | None) -> None:
+    def set_stance(self, kind: str, stance: Array | None) -> None:
         """Move the clips of standing to a stance (24,), or to zero if it is not known yet."""
         clips = self._type(kind).reference_clips
         self.stance = about_zero(clips) if stance is None else in_stance(clips, stance)
@@ -280,7 +280,7 @@ class RecordingChoice:
         return index.clips[number], found
 
     def leaves(self, kind: str, clip: ReferenceClip, entered: int) -> int:
-        """The frame at which a clip that was entered just now is left, if nothing is asked of its trajectory.
+        """The frame at which a clip that was entered just now is left, if no trajectory is requested.
 
         A gait leaves it where it brakes, or loses the speed of the stay; other types where it has been played, but not
         within a strike or jump; performances never.

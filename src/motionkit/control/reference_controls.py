@@ -15,15 +15,15 @@ from motionkit.models.motion_type import MotionKind, ReferenceClip, Rhythm
 
 # Share of the recorded trajectory in a requested one; chosen. Recorded feet stand along the recorded trajectory, and
 # the root-slip correction (inference/slip_correction.py) follows the feet.
-OWN_SHARE = 0.5
+RECORDED_SHARE = 0.5
 
 
 class ReferenceControls:
     """Makes controls of one type with reference poses, phases and trajectories of the playing recording."""
 
-    def __init__(self, model: MotionModel, own_share: float = OWN_SHARE) -> None:
-        """Take own_share, the share of the recorded trajectory in a requested one."""
-        self.model, self.own_share = model, own_share
+    def __init__(self, model: MotionModel, recorded_share: float = RECORDED_SHARE) -> None:
+        """Take recorded_share, the share of the recorded trajectory in a requested one."""
+        self.model, self.recorded_share = model, recorded_share
 
     def of_clip(
         self,
@@ -42,16 +42,16 @@ class ReferenceControls:
         reference = recorded_poses(clip, frames)
         if left is not None:
             reference = left.fading(frames, reference, recorded_poses)
-        asked = replace(self._shown(kind, reference), phase=clip.phases[frames])
+        controls = replace(self._with_reference(kind, reference), phase=clip.phases[frames])
         trajectory = self._trajectory(kind, clip, frames, left, trajectories)
-        return asked if trajectory is None else replace(asked, trajectory=trajectory).with_mask(1.0)
+        return controls if trajectory is None else replace(controls, trajectory=trajectory).with_mask(1.0)
 
-    def of_pause(self, kind: str, reference: Array, own: Array, trajectories: Array | None) -> Controls:
+    def of_pause(self, kind: str, reference: Array, recorded: Array, trajectories: Array | None) -> Controls:
         """Controls (T, ...) of a pause with reference poses (T, 72), recorded and requested trajectories (T, 24)."""
-        asked = self._shown(kind, reference)
+        controls = self._with_reference(kind, reference)
         if trajectories is None and self.model.kind(kind) is not MotionKind.PERFORMANCE:
-            return asked
-        return replace(asked, trajectory=own if trajectories is None else trajectories).with_mask(1.0)
+            return controls
+        return replace(controls, trajectory=recorded if trajectories is None else trajectories).with_mask(1.0)
 
     def of_clock(self, kind: str, at: int, count: int, trajectories: Array | None) -> Controls:
         """Controls (count, ...) of a type without recordings, from frame `at` on, with the phase from a clock."""
@@ -63,7 +63,7 @@ class ReferenceControls:
             trajectories = np.tile(straight_trajectory(velocity, self.model.fps), (count, 1))
         return free if trajectories is None else replace(free, trajectory=trajectories).with_mask(1.0)
 
-    def _shown(self, kind: str, reference: Array) -> Controls:
+    def _with_reference(self, kind: str, reference: Array) -> Controls:
         """Controls (T, ...) of a type with reference poses (T, 72), at the type's gain; 0 if the model uses none."""
         free = self._of_type(kind, len(reference))
         gain = self.model.types[kind].preset.reference_gain if self.model.uses_references else 0.0
@@ -85,13 +85,13 @@ class ReferenceControls:
         gait = self.model.kind(kind) is MotionKind.GAIT and self.model.uses_references
         if trajectories is None and not (clip.performed or gait):
             return None
-        if trajectories is not None and not self.own_share:
+        if trajectories is not None and not self.recorded_share:
             return trajectories
         # Without a request, the recorded trajectory decides on the side of a cartwheel or the speed of a walk.
-        own = recorded_trajectory(clip, frames)
+        recorded = recorded_trajectory(clip, frames)
         if trajectories is not None:
-            return lerp(trajectories, own, self.own_share)
-        return own if left is None else left.fading(frames, own, recorded_trajectory)
+            return lerp(trajectories, recorded, self.recorded_share)
+        return recorded if left is None else left.fading(frames, recorded, recorded_trajectory)
 
 
 def rhythm_of(model: MotionModel, kind: str) -> Rhythm | None:

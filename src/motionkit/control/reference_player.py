@@ -6,10 +6,10 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.blending import SHORTEST_BLEND, Crossfade, Pause
-from motionkit.control.momentum import asked_speed, at_speed, forward_speeds, ground_speeds
+from motionkit.control.momentum import at_speed, forward_speeds, ground_speeds, trajectory_speed
 from motionkit.control.motion_index import pose_state
 from motionkit.control.recording_choice import MATCHING, RecordingChoice
-from motionkit.control.reference_controls import OWN_SHARE, ReferenceControls, rhythm_of
+from motionkit.control.reference_controls import RECORDED_SHARE, ReferenceControls, rhythm_of
 from motionkit.features.control import Controls
 from motionkit.features.reference import PAUSE
 from motionkit.models.model import MotionModel
@@ -27,19 +27,19 @@ class ReferencePlayer:
         self,
         model: MotionModel,
         choice: int = 0,
-        own_share: float = OWN_SHARE,
+        recorded_share: float = RECORDED_SHARE,
         rests: bool = False,
         few: bool = False,
     ) -> None:
         """Start without a type.
 
         Args:
-            own_share: the share of the recorded trajectory in a requested one.
+            recorded_share: the share of the recorded trajectory in a requested one.
             rests, few: as in RecordingChoice.
         """
         self.model = model
         self.recordings = RecordingChoice(model, choice, rests, few)
-        self.controls = ReferenceControls(model, own_share)
+        self.controls = ReferenceControls(model, recorded_share)
         self.kind = ""
         self.clip: ReferenceClip | None = None
         self.at = 0
@@ -57,7 +57,7 @@ class ReferencePlayer:
         trajectory: Array | None = None,
         paused: bool = False,
         speed: float | None = None,
-        settles: bool = False,
+        stops: bool = False,
     ) -> None:
         """Change to a type.
 
@@ -67,7 +67,7 @@ class ReferencePlayer:
             trajectory: (24,) requested trajectory, which the entry frame should match.
             paused: insert a pause from the end of a performance (ends) to the beginning of this one.
             speed: speed of the body over the ground in cm/s; by default that of the present recording.
-            settles: the body comes to a stand, and its stance is not known yet: recordings are moved to zero.
+            stops: the body stops, and its stance is not known yet: recordings are moved to zero.
         """
         if near is None:
             near = self._present()
@@ -79,11 +79,11 @@ class ReferencePlayer:
             self.recordings.leave(self.kind)
         self.forget()
         self.kind, self._since = kind, 0
-        if settles:
-            self.recordings.stand(kind, None)
+        if stops:
+            self.recordings.set_stance(kind, None)
             near = left = None
         elif first and near is not None and trajectory is None and self.model.kind(kind) is MotionKind.STANCE:
-            self.recordings.stand(kind, near[0])
+            self.recordings.set_stance(kind, near[0])
         found = self.recordings.entry(kind, near, behind, trajectory, speed, within)
         if found is None:
             self.at = behind
@@ -97,7 +97,7 @@ class ReferencePlayer:
         elif left is not None and paused:
             self.pause = Pause(left, *found)
 
-    def lead(self, performed: str, frames: int) -> None:
+    def lead_into(self, performed: str, frames: int) -> None:
         """Enter a recording of the present gait that leads to the beginning of a performance in some frames, if any."""
         near = self._present()
         found = None if near is None else self.recordings.leading(self.kind, near, performed, frames)
@@ -141,14 +141,14 @@ class ReferencePlayer:
         parts: list[Controls] = []
         played = 0
         while played < frames:
-            wanted = None if trajectories is None else trajectories[played:]
-            if self.clip is not None and self.at >= self._end(wanted is None):
-                self._go_on(None if wanted is None else wanted[0], frames - played if whole else None)
-            elif wanted is not None and self._since >= MATCHING.every:
-                self._reconsider(wanted[0])
+            requested = None if trajectories is None else trajectories[played:]
+            if self.clip is not None and self.at >= self._end(requested is None):
+                self._go_on(None if requested is None else requested[0], frames - played if whole else None)
+            elif requested is not None and self._since >= MATCHING.every:
+                self._reconsider(requested[0])
             count = frames - played
             parts.append(
-                self._paused(self.pause, count, wanted) if self.pause else self._stretch(count, wanted)
+                self._paused(self.pause, count, requested) if self.pause else self._stretch(count, requested)
             )
             played += len(parts[-1].phase)
         return Controls.concatenated(parts)
@@ -170,7 +170,7 @@ class ReferencePlayer:
         if frames is not None and left.performed and frames < PAUSE + len(left):
             self.pause = Pause(left, left, len(left) - 1)
             return
-        speed = None if trajectory is None else asked_speed(trajectory, self.model.fps)
+        speed = None if trajectory is None else trajectory_speed(trajectory, self.model.fps)
         phased = self.model.kind(self.kind).phased
         self.begin(self.kind, trajectory=None if phased else trajectory, speed=speed)
         assert self.clip is not None
@@ -206,25 +206,25 @@ class ReferencePlayer:
             count = min(count, max(1, MATCHING.every - self._since))
             trajectories = trajectories[:count]
         if self.clip is None:
-            asked = self.controls.of_clock(self.kind, self.at, count, trajectories)
+            controls = self.controls.of_clock(self.kind, self.at, count, trajectories)
         else:
             frames = np.arange(self.at, self.at + count)
-            asked = self.controls.of_clip(self.kind, self.clip, frames, self.left, trajectories)
+            controls = self.controls.of_clip(self.kind, self.clip, frames, self.left, trajectories)
             if trajectories is None and self.model.kind(self.kind) is MotionKind.GAIT:
                 steady = frames >= self.arrives
-                asked = at_speed(asked, self.recordings.pace, self.model.fps, steady)
+                controls = at_speed(controls, self.recordings.pace, self.model.fps, steady)
             self.recordings.played.mark(self.clip, self.at, count)
         self.at += count
         self._since += count
-        return asked
+        return controls
 
     def _paused(self, pause: Pause, count: int, trajectories: Array | None) -> Controls:
         """Controls of up to `count` frames of the pause; clears the pause at its end."""
-        reference, own, ended = pause.next(count)
+        reference, recorded, ended = pause.next(count)
         if ended:
             self.pause = None
-        wanted = None if trajectories is None else trajectories[: len(reference)]
-        return self.controls.of_pause(self.kind, reference, own, wanted)
+        requested = None if trajectories is None else trajectories[: len(reference)]
+        return self.controls.of_pause(self.kind, reference, recorded, requested)
 
     def _present(self) -> Array | None:
         return None if self.clip is None else pose_state(self.clip, min(self.at, len(self.clip) - 1))

@@ -43,20 +43,22 @@ def parse_types(
             raise ControlError(f"expected type or type:seconds, found {word!r}")
         timed.append((name.strip(), _seconds(time, word) if time else None))
     free = [name for name, time in timed if time is None]
-    given = sum(time for _, time in timed if time is not None)
+    timed_seconds = sum(time for _, time in timed if time is not None)
     if seconds is not None and free:
-        share = (seconds - given) / len(free)
+        share = (seconds - timed_seconds) / len(free)
         if share <= 0:
-            raise ControlError(f"the parts alone take {given:g} s, more than the {seconds:g} s asked for")
+            raise ControlError(
+                f"the parts alone take {timed_seconds:g} s, more than the {seconds:g} s asked for"
+            )
     elif seconds is not None:
         # Every part has a time: stretch all to the total.
-        return [TypePart(name, time * seconds / given) for name, time in timed if time is not None]
+        return [TypePart(name, time * seconds / timed_seconds) for name, time in timed if time is not None]
     else:
         names = [name for name, _ in timed]
         natural = usual(names) if usual else [0.0] * len(names)
         return [
-            TypePart(name, time or own or DEFAULT_SECONDS)
-            for (name, time), own in zip(timed, natural, strict=True)
+            TypePart(name, time or default or DEFAULT_SECONDS)
+            for (name, time), default in zip(timed, natural, strict=True)
         ]
     return [TypePart(name, share if time is None else time) for name, time in timed]
 

@@ -15,7 +15,7 @@ from motionkit.control.momentum import carried_over
 from motionkit.features.control import Controls
 from motionkit.models.motion_type import ReferenceClip
 
-SETTLING = 100  # frames without a recording, until a body that ran, walked or danced stands
+STOPPING_FRAMES = 100  # frames without a recording, until a body that ran, walked or danced stands
 # Speed (cm/s) above which a trajectory brakes the body, and its deceleration (cm/s^2). Slower bodies stop by themselves
 # in two steps.
 BRAKED, BRAKING = 200.0, 200.0
@@ -47,8 +47,8 @@ def like_recorded(clips: Sequence[ReferenceClip], stance: Array) -> bool:
     return bool(np.linalg.norm(stance - usual) <= np.linalg.norm(poses - usual, axis=1).max())
 
 
-def settling(controls: Controls, before: float | None, fps: float) -> Controls:
-    """Remove the reference poses from the first SETTLING frames of controls (T, ...) of standing.
+def stopping(controls: Controls, before: float | None, fps: float) -> Controls:
+    """Remove the reference poses from the first STOPPING_FRAMES frames of controls (T, ...) of standing.
 
     Args:
         before: speed of the body in cm/s, if known.
@@ -56,9 +56,9 @@ def settling(controls: Controls, before: float | None, fps: float) -> Controls:
     if before is not None and before > BRAKED:
         still = np.zeros((len(controls.phase), 3), np.float32)
         controls = carried_over(controls, still, before, fps, BRAKING)
-    shown = (np.arange(len(controls.phase)) >= SETTLING).astype(np.float32)
+    mask = (np.arange(len(controls.phase)) >= STOPPING_FRAMES).astype(np.float32)
     return replace(
         controls,
-        reference=controls.reference * shown[:, None],
-        reference_gain=controls.reference_gain * shown,
+        reference=controls.reference * mask[:, None],
+        reference_gain=controls.reference_gain * mask,
     )

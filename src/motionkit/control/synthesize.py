@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.character_start import CharacterStart, character_start
 from motionkit.control.keys import Key
+from motionkit.control.lead_ins import with_final_rest, with_lead_ins
 from motionkit.control.meet import KeyedController, meet_keys
-from motionkit.control.opening import Opening, opening
 from motionkit.control.plan import Plan, plan_keys, plan_types
 from motionkit.control.planned_controls import CrowdController
 from motionkit.control.script import TypePart
 from motionkit.control.speeds import acceleration_limit
-from motionkit.control.staging import rested, staged
 from motionkit.errors import ControlError
 from motionkit.finish.finish import Finish, Unfinished
 from motionkit.free_memory import check_memory
@@ -27,6 +27,7 @@ from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, leg_length
+from motionkit.rig.soles import body_soles
 from motionkit.seeds import check_seed
 
 MAX_FRAMES = 500_000  # of all characters together, at the higher of model and file rate; takes 4 GB of memory
@@ -111,7 +112,7 @@ def synthesize(
 ) -> SynthesisResult:
     """Synthesize motion types one after another; the same seed gives the same motion.
 
-    Performances are shown whole, from a stand or run-up to a stand (control/staging.py).
+    Performances are whole, from standing or a run-up to standing (control/lead_ins.py).
 
     All characters run in one batch with successive seeds; each moves as it would alone with its seed. parts is one list
     for all characters, or several lists that they take in turn. options.character may hold several names, separated by
@@ -121,23 +122,25 @@ def synthesize(
         ControlError: for an unknown type or character, a count below one, or more than MAX_FRAMES.
     """
     options = options or SynthesisOptions()
-    asked = _asked(model, parts, options)
+    sequences = _sequences(model, parts, options)
     names = [name.strip() for name in options.character.split(",")]
     skeletons = [model.character(name) for name in names]
     init = None if options.init is None else clip_motion(model, options.init)
-    bodies, openings, plans = [], [], []
+    bodies, starts, plans = [], [], []
     for i in range(options.count):
-        own = asked[i % len(asked)]
-        begins = (staged(model, own) if init is None else own)[0].type
+        sequence = sequences[i % len(sequences)]
+        begins = (with_lead_ins(model, sequence) if init is None else sequence)[0].type
         bodies.append(model.moved_skeleton(names[i % len(names)]))
-        openings.append(opening(model, begins, bodies[-1], init, options.seed + i))
-        own = staged(model, own, None if init is None else openings[-1].shown)
-        plans.append(rested(model, plan_types(model, own, openings[-1].shown), options.seed + i))
-    state = _begun(model, options, bodies, openings, plans)
+        starts.append(character_start(model, begins, bodies[-1], init, options.seed + i))
+        sequence = with_lead_ins(model, sequence, None if init is None else starts[-1].start_state)
+        plans.append(
+            with_final_rest(model, plan_types(model, sequence, starts[-1].start_state), options.seed + i)
+        )
+    state = _begun(model, options, bodies, starts, plans)
     controller: Controller = CrowdController(model, plans, options.seed, state.frame)
     if options.keys:
         keyed = plan_keys(plans[0], options.keys)
-        controller = KeyedController(model, controller, keyed, openings[0], model.body_scale(names[0]))
+        controller = KeyedController(model, controller, keyed, starts[0], model.body_scale(names[0]))
     limits = [acceleration_limit(model, [part.type for part in plan.parts]) for plan in plans]
     started = time.perf_counter()
     rollout = run(state, max(len(plan.track) for plan in plans), controller, progress)
@@ -157,19 +160,19 @@ def _begun(
     model: MotionModel,
     options: SynthesisOptions,
     bodies: list[Skeleton],
-    openings: Sequence[Opening],
+    starts: Sequence[CharacterStart],
     plans: Sequence[Plan],
 ) -> RolloutState:
-    """Start a roll-out from the opening of each character."""
+    """Start a roll-out from the first frames of each character."""
     state = RolloutState(model, options.count, options.noise or default_noise(model), options.seed)
     state.controls.set_skeletons(bodies)
-    starts = [each.start for each in openings]
+    frames = [each.start for each in starts]
     state.start(
-        [start.features[0] for start in starts],
-        [start.contacts[0] for start in starts],
+        [start.features[0] for start in frames],
+        [start.contacts[0] for start in frames],
         np.stack([plan.weights[0] for plan in plans]),
-        np.concatenate([start.ground for start in starts]),
-        [each.length for each in openings],
+        np.concatenate([start.ground for start in frames]),
+        [each.length for each in starts],
     )
     return state
 
@@ -192,24 +195,24 @@ def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> N
     check_memory(round(seconds * fps * options.count), JOINT_COUNT, fps * options.count)
 
 
-def _asked(
+def _sequences(
     model: MotionModel, parts: Sequence[TypePart] | Sequence[Sequence[TypePart]], options: SynthesisOptions
 ) -> list[list[TypePart]]:
     """Return the lists of parts that characters take in turn; raises ControlError if they cannot be synthesized."""
-    asked: list[list[TypePart]] = []
+    sequences: list[list[TypePart]] = []
     alone: list[TypePart] = []
     for part in parts:
         if isinstance(part, TypePart):
             alone.append(part)
         else:
-            asked.append(list(part))
-    asked = asked or [alone]
-    check_size(max(sum(part.seconds for part in each) for each in asked), model.fps, options)
-    for part in (part for each in asked for part in each):
+            sequences.append(list(part))
+    sequences = sequences or [alone]
+    check_size(max(sum(part.seconds for part in each) for each in sequences), model.fps, options)
+    for part in (part for each in sequences for part in each):
         model.type_id(part.type)
-    if options.keys and len(asked) > 1:
+    if options.keys and len(sequences) > 1:
         raise ControlError("keys are met by characters with the same types; give one list of types")
-    return asked
+    return sequences
 
 
 def unfinished(
@@ -231,7 +234,8 @@ def unfinished(
     """
     motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
     size = leg_length(skeleton) / leg_length(motion.skeleton)
-    return Unfinished(motion, rollout.contacts[index], Finish(hold=hold, most=most, size=size))
+    settings = Finish(hold=hold, most=most, size=size, soles=body_soles(motion.skeleton))
+    return Unfinished(motion, rollout.contacts[index], settings)
 
 
 def finished(

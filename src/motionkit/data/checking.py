@@ -34,17 +34,11 @@ ARRAY_KINDS: dict[str, tuple[tuple[int, ...], type, float, float]] = {
 
 
 def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> None:
-    """Raise DatasetError, naming file and entry, if an entry of a manifest has a wrong type, shape or value.
+    """Raise DatasetError, naming file and entry, if an entry of a manifest has a wrong type, shape or value."""
 
-    Args:
-        path: the manifest's file, for the message.
-        manifest: its contents.
-        clip_type: the dataclass of a clip.
-    """
-
-    def check(key: str, good: bool, wanted: str) -> None:
+    def check(key: str, good: bool, expected: str) -> None:
         if not good:
-            raise DatasetError(f"{path}: the manifest is damaged: expected {key} to be {wanted}")
+            raise DatasetError(f"{path}: the manifest is damaged: expected {key} to be {expected}")
 
     types: Any = manifest.get("types")
     bodies: Any = manifest.get("bodies")
@@ -58,11 +52,13 @@ def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> 
     check(
         "bodies",
         isinstance(bodies, list) and bool(bodies) and all(_table(b, body) for b in bodies),
-        _said(body),
+        _table_words(body),
     )
     characters: Any = manifest.get("characters")
     check(
-        "characters", _mapping(characters) and all(_table(b, body) for b in characters.values()), _said(body)
+        "characters",
+        _mapping(characters) and all(_table(b, body) for b in characters.values()),
+        _table_words(body),
     )
     reference_rotations: Any = manifest.get("references")
     unit = _table(reference_rotations, (JOINT_COUNT, 4)) and bool(
@@ -83,8 +79,12 @@ def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> 
     check("phase_seconds", good, "seconds of some of the types")
     good = _mapping(events) and set(events) <= set(types) and all(e in ("", *KINDS) for e in events.values())
     check("phase_events", good, f"of some of the types one of {', '.join(KINDS)} or nothing")
-    twins: Any = manifest.get("mirrored_types", {})
-    good = _mapping(twins) and set(twins) <= set(types) and all(twin in types for twin in twins.values())
+    opposites: Any = manifest.get("mirrored_types", {})
+    good = (
+        _mapping(opposites)
+        and set(opposites) <= set(types)
+        and all(opposite in types for opposite in opposites.values())
+    )
     check("mirrored_types", good, "types of some of the types")
     clips: Any = manifest.get("clips")
     check("clips", isinstance(clips, list), "a list")
@@ -92,7 +92,7 @@ def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> 
         check(f"clip {number}", _is_clip(clip, clip_type, len(bodies)), "a clip of the arrays")
 
 
-def _said(shape: tuple[int, int]) -> str:
+def _table_words(shape: tuple[int, int]) -> str:
     return f"tables of {shape[0]} times {shape[1]} numbers"
 
 
@@ -133,12 +133,12 @@ def open_array(path: Path, name: str, rows: int) -> np.ndarray:
             warnings.simplefilter("error")  # numpy warns where it guesses a header
             array = np.lib.format.open_memmap(path, mode="r")
     except Exception as error:  # numpy evaluates headers as Python, which can raise many types
-        said = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise DatasetError(f"{path}: cannot be read ({said})") from None
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise DatasetError(f"{path}: cannot be read ({reason})") from None
     if array.ndim != 1 + len(columns) or array.shape[1:] != columns or array.dtype != np.dtype(dtype):
-        wanted = ("N", *map(str, columns))
+        expected = ("N", *map(str, columns))
         raise DatasetError(
-            f"{path}: expected ({', '.join(wanted)}) of {np.dtype(dtype)}, found {array.shape} of {array.dtype}"
+            f"{path}: expected ({', '.join(expected)}) of {np.dtype(dtype)}, found {array.shape} of {array.dtype}"
         )
     if len(array) < rows:
         raise DatasetError(f"{path}: expected {rows} rows, found {len(array)}")
@@ -146,13 +146,7 @@ def open_array(path: Path, name: str, rows: int) -> np.ndarray:
 
 
 def check_range(path: Path, name: str, values: np.ndarray, first: int = 0, most: float | None = None) -> None:
-    """Raise DatasetError for a value outside the array's range.
-
-    Args:
-        values: some rows of the array.
-        first: index of the first of these rows in the array, for the message.
-        most: largest value allowed, if it is not that of ARRAY_KINDS.
-    """
+    """Raise DatasetError for a value outside the array's range, or above most; values are its rows from `first` on."""
     _, _, low, high = ARRAY_KINDS[name]
     high = high if most is None else most
     if values.size and not (values.min() >= low and values.max() <= high):  # True for NaN

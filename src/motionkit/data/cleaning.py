@@ -1,8 +1,8 @@
 """Repairs capture artefacts: T-poses at the ends, pops, flipped knees and elbows, and wrong floor heights.
 
 A pop is a joint or root that jumps away for a few frames and returns. Every detector compares a frame with its
-neighbours. Kicks, flips and cartwheels are fast for many frames in a row, so they pass unchanged.
-docs/dataset.md has the measurements behind the constants.
+neighbours. Kicks, flips and cartwheels are fast for many frames in a row, so they pass unchanged. At leaps
+clips are cut. docs/dataset.md has the measurements behind the constants.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Breaks:
 
     # Seconds from the ends within which breaks of the whole body, and of single joints, are searched. T-poses and the
     # blends out of them last up to half a second. Larger values cut motion that begins fast.
-    lead_seconds: float = 0.5
+    window_seconds: float = 0.5
     edge_seconds: float = 0.1
     # Mean angle to the rest pose below which the first frame is a T-pose. Measured: T-poses have 4.8 to 6.7 degrees,
     # real motion at least 11.5.
@@ -103,7 +103,7 @@ class Flips:
 
 BREAKS, POPS, FLIPS = Breaks(), Pops(), Flips()
 JUMP_LEFT = math.radians(60.0)  # a remaining step above this gets a note; 15 of 248 CMU clips have one
-MOST_JUMPS_TOLD = 20  # notes per clip
+MOST_JUMPS_LISTED = 20  # notes per clip
 
 
 @dataclass(frozen=True)
@@ -112,10 +112,8 @@ class CleaningReport:
 
     Attributes:
         lead_in: frames cut at the start (T-pose, the blend out of it, bad first frames).
-        lead_out: frames cut at the end.
         pops: (source frame, joint) of every repaired frame; "root position" for the root's position.
             A flipped limb is listed under its thigh or upper arm.
-        floor_shift: cm added to the root height.
         notes: artefacts that were found but not repaired.
     """
 
@@ -127,17 +125,14 @@ class CleaningReport:
 
 
 def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
-    """Repair a motion of the 23 canonical joints, in cm, at its own frame rate.
+    """Return the repaired motion of the 23 canonical joints, in cm, at its own frame rate, and a report.
 
     At least two frames are kept. In a motion of one or two frames, only the floor height is corrected.
-
-    Returns:
-        The repaired motion and a report.
     """
-    cut, pops = mend(motion)  # first, so that a pop near an end is not taken for a break
+    cut, pops = repair(motion)  # first, so that a pop near an end is not taken for a break
     start, end = _good_span(cut)
     if end - start < len(motion):
-        cut, pops = mend(motion.cut(start, end))
+        cut, pops = repair(motion.cut(start, end))
     shift, floor_notes = floor_shift(cut)
     notes = floor_notes + _jumps_left(cut, start)
     up = np.array([0.0, shift, 0.0], cut.root_positions.dtype)
@@ -147,16 +142,14 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
     return replace(cut, root_positions=cut.root_positions + up), report
 
 
-def mend(motion: Motion, limbs: Sequence[Limb] = LIMBS) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion without flips and pops, and the repaired frames and joints.
+def repair(motion: Motion, limbs: Sequence[Limb] = LIMBS) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion of any rig in cm, Y up, without flips and pops, and the repaired frames and joints.
 
-    Args:
-        motion: any rig, in cm with Y up.
-        limbs: upper, middle and end joint of each leg and arm; those of the canonical skeleton by default.
+    limbs are upper, middle and end joint of each leg and arm; those of the canonical skeleton by default.
     """
-    unflipped, flips = _mend_flips(motion, limbs)
-    mended, pops = _mend_pops(unflipped)
-    return mended, flips + pops
+    unflipped, flips = _repair_flips(motion, limbs)
+    repaired, pops = _repair_pops(unflipped)
+    return repaired, flips + pops
 
 
 def _steps(motion: Motion) -> tuple[Array, Array]:
@@ -177,24 +170,24 @@ def _good_span(motion: Motion) -> tuple[int, int]:
     if len(motion) < 3:
         return 0, len(motion)
     angles, distances = _steps(motion)
-    start = max(_lead(angles, distances, motion.fps), _rest_pose_blend(motion, angles))
+    start = max(_bad_start(angles, distances, motion.fps), _rest_pose_blend(motion, angles))
     end = len(motion) - _tail(np.flip(angles, 0), np.flip(distances, 0), motion.fps)
     return (start, end) if end - start >= 2 else (0, len(motion))
 
 
-def _lead(angles: Array, distances: Array, fps: float) -> int:
+def _bad_start(angles: Array, distances: Array, fps: float) -> int:
     """Number of frames to cut at the start, from the steps (T - 1, J) and (T - 1)."""
     half = len(angles) // 2
     edge = min(max(3, round(BREAKS.edge_seconds * fps)), half)
-    window = min(round(BREAKS.lead_seconds * fps), half)
+    window = min(round(BREAKS.window_seconds * fps), half)
     coarse = max(1.0, 60.0 / fps)  # a step covers more time at a lower rate
     body = angles.mean(axis=1)
-    lead = max(
+    bad = max(
         _last_true(_breaks(body, coarse * BREAKS.body, window)),
         _last_true(_breaks(distances, coarse * BREAKS.root, window)),
         _edge_breaks(angles, edge, coarse),
     )
-    return lead + _frozen(angles[lead:], distances[lead:])
+    return bad + _frozen(angles[bad:], distances[bad:])
 
 
 def _rest_pose_blend(motion: Motion, angles: Array) -> int:
@@ -205,7 +198,7 @@ def _rest_pose_blend(motion: Motion, angles: Array) -> int:
     body = angles.mean(axis=1)
     later = body[
         round(BREAKS.edge_seconds * motion.fps) : round(
-            (BREAKS.edge_seconds + BREAKS.lead_seconds) * motion.fps
+            (BREAKS.edge_seconds + BREAKS.window_seconds) * motion.fps
         )
     ]
     if not len(later):
@@ -250,30 +243,30 @@ def _last_true(flags: Array) -> int:
     return int(found[-1]) + 1 if len(found) else 0
 
 
-def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
+def _repair_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     """The motion with its pops interpolated, and their frames and joints."""
     rotations, places = motion.local_rotations.copy(), motion.root_positions.copy()
     # In frames: at a low rate, toes that roll off in a run are away for two frames.
     longest = max(1, round(POPS.long_seconds * motion.fps))
     coarse = max(1.0, 60.0 / motion.fps)
     steps = _angle(rotations[:-1], rotations[1:])
-    mended: list[tuple[int, str]] = []
+    repaired: list[tuple[int, str]] = []
     for span in range(1, min(longest, len(motion) - 2) + 1):
         pops = _joint_pops(rotations, steps, span, coarse)
         for frame, joint in pops:
             rotations[frame : frame + span, joint] = _bridge(
                 rotations[frame - 1, joint], rotations[frame + span, joint], span
             )
-            mended.extend((frame + i, motion.skeleton.names[joint]) for i in range(span))
+            repaired.extend((frame + i, motion.skeleton.names[joint]) for i in range(span))
         if pops:
             steps = _angle(rotations[:-1], rotations[1:])
     for frame in _root_pops(places):
         places[frame] = 0.5 * (places[frame - 1] + places[frame + 1])
-        mended.append((frame, "root position"))
-    if not mended:
+        repaired.append((frame, "root position"))
+    if not repaired:
         return motion, []
     out = replace(motion, local_rotations=quat_continuous(rotations), root_positions=places)
-    return out, sorted(set(mended))
+    return out, sorted(set(repaired))
 
 
 def _joint_pops(rotations: Array, steps: Array, span: int, coarse: float) -> list[tuple[int, int]]:
@@ -313,29 +306,29 @@ def _step_at(steps: Array, frames: Array, joints: Array) -> Array:
     return np.where(inside, steps[np.clip(frames, 0, len(steps) - 1), joints], np.float32(0.0))
 
 
-def _mend_flips(motion: Motion, limbs: Sequence[Limb]) -> tuple[Motion, list[tuple[int, str]]]:
+def _repair_flips(motion: Motion, limbs: Sequence[Limb]) -> tuple[Motion, list[tuple[int, str]]]:
     """Repair flipped knees and elbows; returns the motion and the repaired frames and upper joints.
 
     The limb turns about the line from its upper to its end joint, which both stay in place. The angle comes from
     interpolating the upper joint between the good frames around. The end joint's rotation is interpolated too.
     """
     rotations = motion.local_rotations.copy()
-    mended: list[tuple[int, str]] = []
+    repaired: list[tuple[int, str]] = []
     for upper, middle, end in limbs:
         for first, last in _flipped_spans(rotations[:, upper], rotations[:, end], motion.fps):
             span, count = slice(first, last + 1), last + 1 - first
-            wanted = _bridge(rotations[first - 1, upper], rotations[last + 1, upper], count)
+            target = _bridge(rotations[first - 1, upper], rotations[last + 1, upper], count)
             reach = motion.skeleton.offsets[middle] + quat_rotate(
                 rotations[span, middle], motion.skeleton.offsets[end]
             )
             line = normalized(quat_rotate(rotations[span, upper], reach))
-            swing = _twist(quat_multiply(wanted, quat_inverse(rotations[span, upper])), line)
+            swing = _twist(quat_multiply(target, quat_inverse(rotations[span, upper])), line)
             rotations[span, upper] = quat_multiply(swing, rotations[span, upper])
             rotations[span, end] = _bridge(rotations[first - 1, end], rotations[last + 1, end], count)
-            mended.extend((frame, motion.skeleton.names[upper]) for frame in range(first, last + 1))
-    if not mended:
+            repaired.extend((frame, motion.skeleton.names[upper]) for frame in range(first, last + 1))
+    if not repaired:
         return motion, []
-    return replace(motion, local_rotations=quat_continuous(rotations)), mended
+    return replace(motion, local_rotations=quat_continuous(rotations)), repaired
 
 
 def _flipped_spans(upper: Array, end: Array, fps: float) -> list[tuple[int, int]]:
@@ -344,8 +337,8 @@ def _flipped_spans(upper: Array, end: Array, fps: float) -> list[tuple[int, int]
     events = np.flatnonzero(jumps).tolist()
     spans: list[tuple[int, int]] = []
     for away, back in pairwise(events):
-        taken = bool(spans) and away < spans[-1][1] + 1
-        if taken or back - away > FLIPS.seconds * fps:
+        overlaps = bool(spans) and away < spans[-1][1] + 1
+        if overlaps or back - away > FLIPS.seconds * fps:
             continue
         ends_apart = float(_angle(upper[away], upper[back + 1]))
         jump = float(_angle(upper[away], upper[away + 1]))
@@ -395,10 +388,49 @@ def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
         return ()
     angles, _ = _steps(motion)
     frames, joints = np.nonzero(angles > max(1.0, 60.0 / motion.fps) * JUMP_LEFT)
-    told = tuple(
+    listed = tuple(
         f"jump of {math.degrees(float(angles[t, j])):.0f} degrees left in {JOINT_NAMES[j]} "
         f"at frame {int(t) + 1 + start}"
-        for t, j in zip(frames[:MOST_JUMPS_TOLD].tolist(), joints[:MOST_JUMPS_TOLD].tolist(), strict=True)
+        for t, j in zip(frames[:MOST_JUMPS_LISTED].tolist(), joints[:MOST_JUMPS_LISTED].tolist(), strict=True)
     )
-    more = len(frames) - len(told)
-    return (*told, f"{more} more jumps left") if more else told
+    more = len(frames) - len(listed)
+    return (*listed, f"{more} more jumps left") if more else listed
+
+
+# ---- leaps: a joint jumps and does not return, which cannot be repaired ----
+
+# A joint leaps if its step relative to the root at 60 fps exceeds LEAP_DISTANCE (cm), and LEAP_RATIO times the median
+# of the steps around it. The fastest feet in CMU flips move 16 to 23 cm per frame.
+LEAP_DISTANCE = 25.0
+LEAP_RATIO = 2.2
+# cm per frame of the root (600 m/s); a larger step would dominate the scaling of the features.
+ROOT_LEAP = 1000.0
+_REACH = 4  # steps on each side of a step; the nearest one is left out of the comparison
+
+
+def find_leaps(global_positions: Array) -> list[int]:
+    """Frames t that follow a leap: between t - 1 and t the root jumps, or a joint relative to the root.
+
+    Positions are (T, 23, 3) in cm at 60 fps.
+    """
+    relative = global_positions - global_positions[:, :1]
+    steps = np.linalg.norm(np.diff(relative, axis=0), axis=-1)  # step t leads from frame t to t + 1
+    if len(steps) < 2 * _REACH + 1:
+        return []
+    padded = np.pad(steps, ((_REACH, _REACH), (0, 0)), mode="edge")
+    windows = sliding_window_view(padded, 2 * _REACH + 1, axis=0)
+    around = lower_median(np.concatenate([windows[..., : _REACH - 1], windows[..., _REACH + 2 :]], -1), -1)
+    leaps = (steps > LEAP_DISTANCE) & (steps > LEAP_RATIO * around)
+    lost = np.linalg.norm(np.diff(global_positions[:, 0], axis=0), axis=-1) > ROOT_LEAP
+    return (np.flatnonzero(leaps.any(axis=-1) | lost) + 1).tolist()
+
+
+def cut_at_leaps(start: int, end: int, leaps: list[int]) -> list[tuple[int, int]]:
+    """The stretches between leaps of frames start to end (exclusive), without the frames next to a leap."""
+    out = []
+    for leap in sorted(leaps):
+        if start <= leap <= end:
+            out.append((start, min(end, leap - 1)))
+            start = leap + 1
+    out.append((start, end))
+    return [(a, b) for a, b in out if b - a >= 2]

@@ -95,6 +95,11 @@ class ClipData:
         """Frames start to end (exclusive)."""
         return ClipData(**{name: value[start:end] for name, value in vars(self).items()})
 
+    def followed_by(self, other: ClipData) -> ClipData:
+        """These frames, and those of another clip after them."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return ClipData(*map(np.concatenate, pairs))
+
 
 class Dataset:
     """A dataset folder opened for reading; clips are loaded on demand."""
@@ -244,11 +249,11 @@ class Dataset:
         """Flags (N,): whether the first half of a type's phase is a left strike and the second a right one."""
         return np.array([self.phase_events.get(name) in SIDED for name in self.types], bool)
 
-    def motion(self, clip: Clip, data: ClipData) -> Motion:
-        """The motion of frames that read() returned, at the place where they were recorded."""
+    def motion(self, clip: Clip, data: ClipData, body: Skeleton | None = None) -> Motion:
+        """The motion of frames that read() returned, at the place where they were recorded, on a body if given."""
         return decode_motion(
             data.features,
-            self.skeleton(clip),
+            body or self.skeleton(clip),
             self.fps,
             data.ground[0],
             self.reference_rotations,
@@ -272,11 +277,17 @@ class Dataset:
         """The clips of a split, "train", "validation" or "test"."""
         return [clip for clip in self.clips if clip.split == split]
 
-    def stretches(self) -> Iterator[tuple[Clip, int, int, int]]:
-        """Yield each stretch of one type in the training clips: clip, first frame, end frame (exclusive), type id."""
-        for clip in self.select("train"):
-            for start, end, kind in type_stretches(self.clip_types(clip)):
-                yield clip, start, end, kind
+    def stretches(
+        self, split: str | None = "train", kind: str | None = None
+    ) -> Iterator[tuple[Clip, int, int, str]]:
+        """Yield each stretch of one type in a split, or in all clips: clip, first frame, end frame (exclusive), type.
+
+        kind leaves out the stretches of other types.
+        """
+        for clip in self.clips if split is None else self.select(split):
+            for start, end, number in type_stretches(self.clip_types(clip)):
+                if kind in (None, self.types[number]):
+                    yield clip, start, end, self.types[number]
 
     def check_layout(self, layout: str, needing: str) -> None:
         """Raise DatasetError if the features have another layout; needing begins the reason in the message."""
@@ -359,8 +370,8 @@ def _names_composed(manifest: Mapping[str, Any]) -> dict[str, Any]:
     for key in ("phase_seconds", "phase_events", "characters"):
         if key in manifest:
             out[key] = {nfc(name): value for name, value in manifest[key].items()}
-    twins = manifest.get("mirrored_types", {})
-    return out | {"mirrored_types": {nfc(name): nfc(other) for name, other in twins.items()}}
+    opposites = manifest.get("mirrored_types", {})
+    return out | {"mirrored_types": {nfc(name): nfc(other) for name, other in opposites.items()}}
 
 
 def _identity(path: Path) -> tuple[int, ...]:

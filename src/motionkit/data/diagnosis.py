@@ -22,6 +22,7 @@ from motionkit.data.options import PreprocessOptions
 from motionkit.data.phases import PhaseStretch, phase_rule, phase_stretch
 from motionkit.data.repeat import FEW_SECONDS as REPEATED_BELOW
 from motionkit.data.repeat import LEAST_FRAMES
+from motionkit.data.workers import processes_for, worker_processes
 from motionkit.errors import MotionkitError
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
@@ -50,13 +51,9 @@ class ClipFacts:
     """Facts about one file.
 
     Attributes:
-        name: the file's path below the folder.
-        types: motion types of its labelled stretches.
         seconds: length of these stretches.
-        fps: the file's own frame rate.
         rig: number of joints and the name of the first one.
         unit: the unit, and how it was determined.
-        up: the axis that points up.
         floor: cm by which the motion was raised to stand on the floor.
         glitches: number of repaired pops, and of discontinuities at which the clip is cut.
         tilt: slopes (2,) of the performer's floor along x and z, in cm per cm.
@@ -84,12 +81,10 @@ class TypeFacts:
 
     Attributes:
         clips, seconds: number of its stretches, and their length.
-        speed: mean speed over the ground in cm/s.
         flights: share of the clips that leave the ground.
         in_the_air: share of the time spent in flights of at least a sixth of a second.
         unlearnable: why training cannot learn the type, and what to do; empty if it can.
         warnings: what looks wrong, unlearnable included.
-        notes: other facts to know before training.
     """
 
     name: str
@@ -105,13 +100,7 @@ class TypeFacts:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Facts about all files and types of a folder.
-
-    Attributes:
-        labels: the label table, if there is one.
-        warnings: what looks wrong with the folder as a whole.
-        skipped: files that are not used, each with the reason.
-    """
+    """Facts about all files and types of a folder, what looks wrong with it, and skipped files with the reason."""
 
     clips: tuple[ClipFacts, ...]
     types: tuple[TypeFacts, ...]
@@ -129,16 +118,10 @@ class Diagnosis:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shown:
-    """One stretch of a type.
+class _Stretch:
+    """One stretch of a type in a clip: its split in the labels, kicks, punches and jumps, and seconds in the air.
 
-    Attributes:
-        clip: name of its file.
-        seconds, speed: its length, and its speed over the ground in cm/s.
-        flying: seconds in the air.
-        place: (D,) description by poses and velocity, in cm per joint.
-        split: the split in the labels.
-        moves: its kicks, punches and jumps.
+    speed is over the ground in cm/s; place (D,) describes poses and velocity, in cm per joint.
     """
 
     clip: str
@@ -161,34 +144,32 @@ def diagnose(
     folders: Sequence[str | Path],
     labels: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
+    jobs: int = 1,
 ) -> Diagnosis:
-    """Describe BVH files and folders of them.
+    """Describe BVH files and folders of them; types are those of a label table, by default one beside the files.
 
-    Args:
-        labels: label table; by default one beside the files. Without any, types come from folder and file names.
-        progress: called with the number of files done and of all files.
+    Without any, types come from folder and file names. progress is called with the number of files done and of all.
+    jobs is the number of processes; 0 chooses it by cores and files.
 
     Raises:
         DatasetError: there are no BVH files, or the label table is invalid.
     """
     sources, table = find_sources([Path(folder) for folder in folders], labels)
     clips: list[ClipFacts] = []
-    skipped: list[str] = []
+    skipped = [f"{source.name}: {source.skip_reason}" for source in sources if source.skip_reason]
     standing: list[Standing | None] = []
-    shown: dict[str, list[_Shown]] = defaultdict(list)
-    for done, source in enumerate(sources, 1):
-        if source.skip_reason:
-            skipped.append(f"{source.name}: {source.skip_reason}")
-        else:
-            facts, stretches, stands = _look(source)
+    by_type: dict[str, list[_Stretch]] = defaultdict(list)
+    listed = [source for source in sources if not source.skip_reason]
+    with worker_processes(processes_for(len(listed), jobs)) as each:
+        for facts, stretches, footfalls in each(_look, listed):
             clips.append(facts)
-            standing.append(stands)
+            standing.append(footfalls)
             for kind, stretch in stretches:
-                shown[kind].append(stretch)
-        if progress:
-            progress(done, len(sources))
-    sides = {kind: _one_side(stretches) for kind, stretches in shown.items()}
-    types = tuple(_type_facts(kind, shown, sides) for kind in sorted(shown))
+                by_type[kind].append(stretch)
+            if progress:
+                progress(len(clips), len(listed))
+    sides = {kind: _one_side(stretches) for kind, stretches in by_type.items()}
+    types = tuple(_type_facts(kind, by_type, sides) for kind in sorted(by_type))
     rigs = sorted({clip.rig for clip in clips if clip.rig})
     warnings = [f"{len(rigs)} different rigs: {'; '.join(rigs[:6])}"] if len(rigs) > 1 else []
     clips = _with_tilts(clips, standing)
@@ -209,12 +190,12 @@ def _with_tilts(clips: list[ClipFacts], standing: list[Standing | None]) -> list
     """The clips with their floor's tilt filled in."""
     tilts = floor_tilts(filter(None, standing))
     return [
-        clip if stands is None else replace(clip, tilt=tuple(tilts[stands[0]].round(4).tolist()))
-        for clip, stands in zip(clips, standing, strict=True)
+        clip if footfalls is None else replace(clip, tilt=tuple(tilts[footfalls[0]].round(4).tolist()))
+        for clip, footfalls in zip(clips, standing, strict=True)
     ]
 
 
-def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], Standing | None]:
+def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Stretch]], Standing | None]:
     """The facts of a file, its stretches by type, and its footfalls."""
     try:
         reading = read_source(source, PreprocessOptions(), plant=False)
@@ -258,7 +239,7 @@ def _up(rig: RetargetReport) -> str:
     return next((note.split()[2] for note in rig.notes if note.startswith("up axis ")), "Y")
 
 
-def _describe(name: str, motion: Motion, split: str) -> _Shown:
+def _describe(name: str, motion: Motion, split: str) -> _Stretch:
     layout = feature_layout(DEFAULT_LAYOUT)
     features = encode_motion(motion).features
     poses = features[:, layout.blocks["joint_positions"]]
@@ -266,7 +247,7 @@ def _describe(name: str, motion: Motion, split: str) -> _Shown:
     # In cm per joint: mean and deviation of the joint positions, and the root's velocity over the ground.
     scale = np.float32(JOINT_COUNT**-0.5)
     place = np.concatenate([poses.mean(axis=0) * scale, poses.std(axis=0) * scale, velocity / SPEED_SCALE])
-    return _Shown(
+    return _Stretch(
         name,
         len(motion) / FPS,
         float(np.linalg.norm(np.diff(motion.root_positions[:, [0, 2]], axis=0), axis=1).mean()) * FPS,
@@ -277,9 +258,11 @@ def _describe(name: str, motion: Motion, split: str) -> _Shown:
     )
 
 
-def _type_facts(kind: str, shown: dict[str, list[_Shown]], sides: dict[str, tuple[str, str]]) -> TypeFacts:
+def _type_facts(
+    kind: str, by_type: dict[str, list[_Stretch]], sides: dict[str, tuple[str, str]]
+) -> TypeFacts:
     """The facts of a type; sides has the result of _one_side for every type."""
-    mine = shown[kind]
+    mine = by_type[kind]
     seconds = sum(stretch.seconds for stretch in mine)
     flights = sum(stretch.flying > 0.0 for stretch in mine) / len(mine)
     unlearnable = _unlearnable(mine)
@@ -292,7 +275,7 @@ def _type_facts(kind: str, shown: dict[str, list[_Shown]], sides: dict[str, tupl
         warnings.append(
             f"its clips fall into two groups: {_listed([mine[i].clip for i in groups])} differ from the others"
         )
-    warnings += _misplaced(kind, shown)
+    warnings += _misplaced(kind, by_type)
     speed = sum(stretch.speed * stretch.seconds for stretch in mine) / max(seconds, 1e-6)
     in_the_air = sum(stretch.flying for stretch in mine) / max(seconds, 1e-6)
     notes = () if unlearnable else _sided(kind, sides)
@@ -301,7 +284,7 @@ def _type_facts(kind: str, shown: dict[str, list[_Shown]], sides: dict[str, tupl
     )
 
 
-def _unlearnable(mine: list[_Shown]) -> str:
+def _unlearnable(mine: list[_Stretch]) -> str:
     """Why a type with these stretches cannot be learnt, and what to do; "" if it can be."""
     files: dict[str, float] = defaultdict(float)
     for stretch in mine:
@@ -320,7 +303,7 @@ def _unlearnable(mine: list[_Shown]) -> str:
     return ""
 
 
-def _too_little(training: list[_Shown]) -> list[str]:
+def _too_little(training: list[_Stretch]) -> list[str]:
     """Warnings for a type with few training clips or seconds."""
     out = []
     if len(training) == 1:
@@ -329,11 +312,11 @@ def _too_little(training: list[_Shown]) -> list[str]:
     if seconds < REPEATED_BELOW:
         out.append(f"{seconds:.1f} s in all, which is little; give it {FEW_SECONDS:.0f} s or more")
     elif seconds < FEW_SECONDS:
-        out.append(f"{seconds:.1f} s in all; more would be learnt better")
+        out.append(f"{seconds:.1f} s in all; more clips train better")
     return out
 
 
-def _one_side(mine: list[_Shown]) -> tuple[str, str]:
+def _one_side(mine: list[_Stretch]) -> tuple[str, str]:
     """A type's strike ("kick" or "punch") and its side if all strikes share one side; else two empty strings."""
     rule = phase_rule([stretch.moves for stretch in mine])
     if rule is None or not rule.sided:
@@ -359,11 +342,7 @@ def _sided(kind: str, sides: dict[str, tuple[str, str]]) -> tuple[str, ...]:
 
 
 def two_groups(places: Array) -> list[int] | None:
-    """Indices of the smaller group if the clips of a type form two groups far apart; else None.
-
-    Args:
-        places: (N, D) description of each clip.
-    """
+    """Indices of the smaller group if places (N, D) of the clips of a type form two groups far apart; else None."""
     spread = np.linalg.norm(places[:, None] - places, axis=-1)
     ends = np.unravel_index(int(spread.argmax()), spread.shape)
     centres = places[list(ends)]
@@ -380,22 +359,22 @@ def two_groups(places: Array) -> list[int] | None:
     return np.flatnonzero(nearest == small).tolist()
 
 
-def _misplaced(kind: str, shown: dict[str, list[_Shown]]) -> list[str]:
+def _misplaced(kind: str, by_type: dict[str, list[_Stretch]]) -> list[str]:
     """A warning for each other type that clips of this one resemble more than their own."""
     centres = {
         name: np.mean([stretch.place for stretch in stretches], axis=0)
-        for name, stretches in shown.items()
+        for name, stretches in by_type.items()
         if name != kind and len(stretches) > 1
     }
-    mine = shown[kind]
+    mine = by_type[kind]
     if len(mine) < 3 or not centres:
         return []
     found: dict[str, list[str]] = defaultdict(list)
     for number, stretch in enumerate(mine):
         others = np.mean([each.place for i, each in enumerate(mine) if i != number], axis=0)
-        own = float(np.linalg.norm(stretch.place - others))
+        distance = float(np.linalg.norm(stretch.place - others))
         nearest = min(centres, key=lambda name: float(np.linalg.norm(stretch.place - centres[name])))
-        if own > FAR and float(np.linalg.norm(stretch.place - centres[nearest])) < NEARER * own:
+        if distance > FAR and float(np.linalg.norm(stretch.place - centres[nearest])) < NEARER * distance:
             found[nearest].append(stretch.clip)
     return [
         f"{_listed(clips)} {'moves' if len(set(clips)) == 1 else 'move'} like {other!r}"

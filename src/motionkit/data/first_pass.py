@@ -12,13 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motionkit.data.cleaning import CleaningReport, clean
+from motionkit.data.cleaning import CleaningReport, clean, cut_at_leaps, find_leaps
 from motionkit.data.folder import MOTIONS
-from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, beyond_end
 from motionkit.data.level import footfalls
+from motionkit.data.mirror_types import type_poses
 from motionkit.data.options import PreprocessOptions
-from motionkit.data.twins import type_poses
 from motionkit.data.workers import Map
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.files import read_bytes
@@ -38,10 +37,8 @@ class FileReport:
 
     Attributes:
         skipped: why the file is not used; "" if it is.
-        fault: whether the file is invalid.
         leaps: number of discontinuities at which the motion was cut.
-        labels: what is wrong with its labels; "" if nothing is.
-        notes: what was settled to read it.
+        notes: what was repaired to read it.
     """
 
     name: str
@@ -83,7 +80,6 @@ class Prepared:
         body: offsets (23, 3) in cm of the motion's skeleton.
         own_body: the same with the performer's bone lengths.
         moment: (23, 4, 4) sum of the outer products of the quaternions, for the mean rotations.
-        poses: some poses of each type.
         footfalls: (F, 3) places in cm where each toe stands.
     """
 
@@ -128,10 +124,9 @@ class Reading:
 
     Attributes:
         motion: at FPS, without the frames that cleaning cut off.
-        rig, cleaning: reports of retargeting and cleaning.
         fps, frames: rate and length of the file itself.
         leaps: first frame of the motion after each discontinuity.
-        notes: what was settled to read the file.
+        notes: what was repaired to read the file.
     """
 
     motion: Motion
@@ -145,8 +140,7 @@ class Reading:
     def place(self, segment: Segment, whole: bool = True) -> tuple[int, int]:
         """First and last frame (exclusive) of the motion in a segment, which counts frames of the file.
 
-        Args:
-            whole: leave out frames that are partly outside the segment; otherwise round to the nearest frame.
+        Frames that are partly outside the segment are left out if whole; otherwise ends are rounded to the nearest.
         """
         begin, end = ((at - self.cleaning.lead_in) * FPS / self.fps for at in (segment.start, segment.end))
         first = math.ceil(begin - 1e-6) if whole else round(begin)
@@ -156,14 +150,10 @@ class Reading:
 
 
 def read_source(source: SourceFile, options: PreprocessOptions, plant: bool = True) -> Reading:
-    """Read, retarget, clean and resample a file; raises BvhError or SkeletonError.
-
-    Args:
-        plant: as for retarget.
-    """
+    """Read, retarget (plant as there), clean and resample a file; raises BvhError or SkeletonError."""
     fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
     notes: list[str] = []
-    with reading(strict=options.strict or None, hear=notes.append):
+    with reading(strict=options.strict or None, on_note=notes.append):
         motion, rig = retarget_file(source.path, options.scale, fps, options.own_bodies, plant, source.clip)
     cleaned, cleaning = clean(motion)
     whole = resample(cleaned, FPS)

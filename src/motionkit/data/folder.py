@@ -17,7 +17,7 @@ import numpy as np
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.files import read_json
 from motionkit.interrupts import uninterrupted
-from motionkit.locks import held
+from motionkit.locks import locked
 
 MANIFEST = "manifest.json"
 ARRAYS = ("features", "contacts", "ground", "types", "phases")
@@ -58,7 +58,7 @@ def staging_folder(target: Path) -> Iterator[tuple[Path, list[str]]]:
     Raises:
         DatasetError: another run holds the lock.
     """
-    with held(target, "making this dataset", DatasetError) as notes:
+    with locked(target, "making this dataset", DatasetError) as notes:
         notes += _put_right(target)
         staging = None
         try:

@@ -14,9 +14,9 @@ from pathlib import Path
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.files import files_below, read_text
 from motionkit.names import nfc
-from motionkit.reading import ALL, told_animation
+from motionkit.reading import ALL, user_animation
 from motionkit.rig.gltf import GltfFile
-from motionkit.rig.read_file import ENDINGS, holds_motion, is_gltf, told_endings
+from motionkit.rig.read_file import ENDINGS, endings_text, holds_motion, is_gltf
 from motionkit.rig.read_glb import clip_lengths
 from motionkit.rig.sides import other_side
 
@@ -89,7 +89,7 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
         once.setdefault(_key(path), (path, folder))
     found = list(once.values())
     if not found:
-        raise DatasetError(f"{', '.join(str(f) for f in folders)}: no {told_endings()} files found")
+        raise DatasetError(f"{', '.join(str(f) for f in folders)}: no {endings_text()} files found")
     table = labels if labels is not None else _nearby_labels(folders)
     if table is None:
         return [source for path, folder in found for source in _by_name(path, folder)], None
@@ -119,7 +119,7 @@ def _clips(path: Path) -> list[tuple[str | None, bool]]:
         names = [name for name, _ in clip_lengths(GltfFile(path))]
     except MotionkitError:
         return [(None, False)]
-    several = len(names) > 1 and told_animation() == ALL
+    several = len(names) > 1 and user_animation() == ALL
     return [(name if several else None, several) for name in (names if several else names[:1])]
 
 
@@ -157,7 +157,7 @@ def _unique_basenames(rows: dict[str, list[Segment]]) -> dict[str, list[Segment]
 
 
 def _by_name(path: Path, folder: Path) -> list[SourceFile]:
-    """A file, or each of its animations, with the type that names tell."""
+    """A file, or each of its animations, with the type that its names give."""
     inside, found = path.relative_to(folder), []
     for clip, several in _clips(path):
         kind = nfc(inside.parent.name or type_from_file_name(clip if clip and several else path.stem))

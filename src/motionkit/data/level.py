@@ -28,7 +28,7 @@ class TiltRule:
     """
 
     # A slow toe this much above standing ones is held in the air and left out. With larger values it counts as floor.
-    held_up: float = 12.0
+    above_toe: float = 12.0
     cell: float = 30.0  # side of a floor cell, in which footfalls count once. Chosen: a foot's length
     usual: float = 0.01  # standard deviation of slopes around zero, the prior of the fit
     # Only slopes between these two are removed: feet are too uncertain for smaller ones, larger ones are real ramps.
@@ -54,15 +54,12 @@ def performer(named: Iterable[str], body: Array) -> str:
 
 
 def footfalls(motion: Motion) -> tuple[Array, ...]:
-    """Places (F, 3) in cm where each toe stands, one per cell of the floor.
+    """Places (F, 3) in cm where each toe of a clip stands, one per cell of the floor; standing toes are at TOE_HEIGHT.
 
     The two toes are kept apart, because one may stand some millimetres higher than the other.
-
-    Args:
-        motion: a clip shifted so that its standing toes are at TOE_HEIGHT on average.
     """
     toes = motion_kinematics(motion)[1][:, list(TOES)].astype(np.float64)
-    standing = standing_toes(toes, motion.fps) & (toes[..., 1] < TOE_HEIGHT + TILT.held_up)
+    standing = standing_toes(toes, motion.fps) & (toes[..., 1] < TOE_HEIGHT + TILT.above_toe)
     return tuple(_cells(toes[standing[:, side], side]) for side in range(len(TOES)))
 
 
@@ -77,11 +74,7 @@ def _cells(places: Array) -> Array:
 
 
 def floor_tilts(standing: Iterable[tuple[str, Sequence[Array]]]) -> dict[str, Array]:
-    """The tilt (2,) of each performer's floor, from all clips of the performer.
-
-    Args:
-        standing: performer and footfalls of each clip.
-    """
+    """The tilt (2,) of each performer's floor, from the performer and the footfalls of each clip."""
     falls: dict[str, list[Array]] = defaultdict(list)
     for whose, each in standing:
         falls[whose].extend(each)
@@ -89,14 +82,11 @@ def floor_tilts(standing: Iterable[tuple[str, Sequence[Array]]]) -> dict[str, Ar
 
 
 def floor_tilt(groups: Sequence[Array]) -> Array:
-    """Slopes (2,) of the floor along x and z, in cm per cm; each toe and clip may have its own height.
+    """Slopes (2,) of the floor along x and z, in cm per cm, under the footfalls (F, 3) of each toe in each clip.
 
-    A least-squares fit in which outliers count linearly (Huber) and a prior keeps slopes near zero, so that a few steps
-    in one place have no effect. A slope is zero along directions where it is uncertain, and everywhere if levelling
-    hardly makes the floor more even.
-
-    Args:
-        groups: footfalls (F, 3) of each toe in each clip.
+    Each toe and clip may have its own height. A least-squares fit in which outliers count linearly (Huber) and a prior
+    keeps slopes near zero, so that a few steps in one place have no effect. A slope is zero along directions where it
+    is uncertain, and everywhere if levelling hardly makes the floor more even.
     """
     rows = [each for each in groups if len(each) > 1]
     if not rows:
@@ -131,11 +121,7 @@ def _unevenness(groups: Sequence[Array], slope: Array) -> float:
 
 
 def levelled(motion: Motion, tilt: Array) -> Motion:
-    """The motion turned so that a tilted floor becomes level, and shifted so that toes stand at TOE_HEIGHT again.
-
-    Args:
-        tilt: (2,) slopes from floor_tilt.
-    """
+    """The motion turned so that a floor of tilt (2,) is level, and shifted so that toes stand at TOE_HEIGHT again."""
     if not tilt.any():
         return motion
     x, z = tilt

@@ -73,11 +73,7 @@ def phase_stretch(features: Array, layout: str) -> PhaseStretch:
 
 
 def phase_rules(clips: Iterable[tuple[Array, np.ndarray]], layout: str) -> dict[int, PhaseRule]:
-    """The phase rules by type id, of the types that have a phase.
-
-    Args:
-        clips: features (T, 276) and type ids (T,) of every clip.
-    """
+    """Phase rules by type id, of types that have a phase, from features (T, 276) and type ids (T,) of each clip."""
     stretches: dict[int, list[PhaseStretch]] = defaultdict(list)
     for features, types in clips:
         for start, end, kind in type_stretches(types):

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,14 +19,14 @@ from motionkit.data.folder import MANIFEST, MOTIONS, may_replace, put_in_place, 
 from motionkit.data.labels import find_sources
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.second_pass import write_arrays
-from motionkit.data.workers import Map, worker_processes
+from motionkit.data.workers import processes_for, worker_processes
 from motionkit.errors import DatasetError
 from motionkit.files import MAX_TEXT_BYTES
 
 
 @dataclass
 class PreprocessReport:
-    """The result of preprocess(); notes tell of leftovers of an interrupted run and of labels that look wrong."""
+    """The result of preprocess(); notes name leftovers of an interrupted run and of labels that look wrong."""
 
     folder: Path
     labels: Path | None
@@ -61,7 +60,7 @@ def preprocess(
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with staging_folder(target) as (staging, notes):
-            with _processes(options.jobs, len(sources)) as each:
+            with worker_processes(processes_for(len(sources), options.jobs)) as each:
                 prepared = read_files(sources, staging, options, each, progress)
                 manifest, types = write_arrays(prepared, staging, options, each, progress)
             _write_manifest(staging / MANIFEST, manifest)
@@ -101,15 +100,3 @@ def _drop_motions(prepared: list[Prepared], staging: Path) -> None:
     for item in prepared:
         Path(item.motion_file).unlink(missing_ok=True)
     (staging / MOTIONS).rmdir()
-
-
-# With fewer files than this per process, starting the process takes longer than it saves.
-_FILES_PER_PROCESS = 40
-
-
-@contextmanager
-def _processes(jobs: int, files: int) -> Iterator[Map]:
-    """A map over files, on one pool of processes for both passes if the pool is worth starting."""
-    wanted = jobs if jobs > 0 else min(os.cpu_count() or 1, files // _FILES_PER_PROCESS)
-    with worker_processes(wanted) as each:
-        yield each

@@ -28,27 +28,23 @@ MIRROR_GAIN = 0.7  # the mirror image follows if its join costs less than this s
 
 
 def repeat_short_types(dataset: Dataset) -> tuple[str, ...]:
-    """Replace the training recordings of types with little motion by looped ones, in memory.
+    """Replace the training recordings of types with little motion by looped ones, in memory; returns these types.
 
     Types with a phase are left alone, because a strike, jump or flip happens once.
-
-    Returns:
-        The names of the looped types.
     """
-    stretches: dict[int, list[tuple[Clip, int, int]]] = defaultdict(list)
+    stretches: dict[str, list[tuple[Clip, int, int]]] = defaultdict(list)
     # Frames by first row, so that a clip and its mirror image count once.
-    recorded: dict[int, dict[int, int]] = defaultdict(dict)
-    for clip, start, end, kind in dataset.stretches():
-        stretches[kind].append((clip, start, end))
-        recorded[kind][clip.start + start] = end - start
+    recorded: dict[str, dict[int, int]] = defaultdict(dict)
+    for clip, start, end, name in dataset.stretches():
+        stretches[name].append((clip, start, end))
+        recorded[name][clip.start + start] = end - start
     made: list[ClipData] = []
     bodies: list[int] = []
     replaced: set[Clip] = set()
     names = []
-    for kind, found in stretches.items():
-        name = dataset.types[kind]
+    for name, found in stretches.items():
         long_enough = [each for each in found if each[2] - each[1] >= LEAST_FRAMES]
-        seconds = sum(recorded[kind].values()) / dataset.fps
+        seconds = sum(recorded[name].values()) / dataset.fps
         if name in dataset.phase_seconds or seconds >= FEW_SECONDS or not long_enough:
             continue
         names.append(name)
@@ -107,3 +103,30 @@ def _repeated(first: Piece, cycle: list[Piece], i: int, j: int, frames: int) -> 
         made += len(last.motion)
     every: Array = quat_continuous(np.concatenate(rotations)[:frames])
     return Motion(first.motion.skeleton, every, np.concatenate(roots)[:frames], first.motion.fps)
+
+
+def type_amounts(dataset: Dataset) -> dict[str, tuple[int, float]]:
+    """Clips and seconds of training motion for each type, without mirrored copies."""
+    recordings = {clip.start: clip for clip in reversed(dataset.select("train"))}
+    none, size = np.zeros(0, np.int64), len(dataset.types)
+    tracks = [none, *map(dataset.clip_types, recordings.values())]
+    frames = np.stack([np.bincount(types, minlength=size) for types in tracks])
+    clips, seconds = (frames > 0).sum(axis=0), frames.sum(axis=0) / dataset.fps
+    return dict(zip(dataset.types, zip(clips.tolist(), seconds.tolist(), strict=True), strict=True))
+
+
+def small_types(dataset: Dataset) -> list[str]:
+    """A warning for each type with no training clip, one clip, or only a few seconds."""
+    lines, least = [], LEAST_FRAMES / dataset.fps
+    for kind, (clips, seconds) in type_amounts(dataset).items():
+        if clips == 0:
+            lines.append(f"{kind!r} has no training clip, only held-out ones; it cannot be learnt")
+        elif seconds < least:
+            lines.append(
+                f"{kind!r} has {seconds:.1f} s of motion, expected at least {least:g} s to learn from"
+            )
+        elif seconds < FEW_SECONDS:
+            lines.append(f"{kind!r} has {seconds:.1f} s of motion to learn from; give it more clips")
+        elif clips == 1:
+            lines.append(f"{kind!r} has one clip, which will be memorized; give it several")
+    return lines

@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.data.checking import ARRAY_KINDS
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
 from motionkit.data.first_pass import FPS, Prepared, Run
 from motionkit.data.folder import ArrayWriter
 from motionkit.data.labels import mirrored_type
 from motionkit.data.level import floor_tilts, levelled, performer
+from motionkit.data.mirror_types import mirrored_types
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.phases import PhaseRule, phase_rules, phase_track
 from motionkit.data.smoothing import smooth, smooth_rotations
 from motionkit.data.splits import decide_splits, hashed, hold_out_validation
-from motionkit.data.twins import mirrored_types
 from motionkit.data.workers import Map
 from motionkit.errors import DatasetError
 from motionkit.features.control import MOST_TYPES, TRAJECTORY_COUNT, future_trajectory
@@ -40,8 +41,6 @@ class _Plan:
 
     Attributes:
         references: (23, 4) reference rotations, which exponential maps are relative to.
-        types: all motion types.
-        twin_types: for each type, the type of its mirror image.
         splits: split of each (file, run) that the labels leave undecided.
         tilts: (2,) slopes of each performer's floor; empty if floors are not levelled.
     """
@@ -49,27 +48,27 @@ class _Plan:
     options: PreprocessOptions
     references: Array
     types: tuple[str, ...]
-    twin_types: dict[str, str]
+    mirror_types: dict[str, str]
     splits: dict[tuple[int, int], str]
     tilts: dict[str, Array]
 
 
 def _plan(files: list[Prepared], options: PreprocessOptions) -> _Plan:
     """Choose reference rotations, types, splits and tilts; raises DatasetError for too many types."""
-    given = options.reference_rotations
+    rotations = options.reference_rotations
     if options.layout == "expmap-root-1":  # the paper's exponential maps are relative to the identity
-        given = identity_reference_rotations()
-    references = _references(files) if given is None else given.astype(np.float32)
+        rotations = identity_reference_rotations()
+    references = _references(files) if rotations is None else rotations.astype(np.float32)
     types = tuple(sorted({kind for p in files for run in p.runs for _, _, kind in run.spans}))
     if len(types) > MOST_TYPES:
         raise DatasetError(f"{len(types)} motion types, expected at most {MOST_TYPES}")
-    twin_types = mirrored_types(types, _all_poses(files))
-    splits = decide_splits(files, options.mirror, twin_types, "test" in options.held_out)
+    mirror_types = mirrored_types(types, _all_poses(files))
+    splits = decide_splits(files, options.mirror, mirror_types, "test" in options.held_out)
     if "validation" in options.held_out:
         hold_out_validation(files, splits)
     levels = options.level and options.smooth
     tilts = floor_tilts((_performer(p), p.footfalls) for p in files) if levels else {}
-    return _Plan(options, references, types, twin_types, splits, tilts)
+    return _Plan(options, references, types, mirror_types, splits, tilts)
 
 
 class _Clips:
@@ -89,7 +88,7 @@ class _Clips:
         frames = run.end - run.start
         clip = Clip(name, self.rows, frames, split, run.subject, self.bodies.index(body))
         self.rows += frames
-        for each in _with_twin(clip, run.spans, self.plan.twin_types, self.plan.options.mirror):
+        for each in _with_mirrored(clip, run.spans, self.plan.mirror_types, self.plan.options.mirror):
             self.clips.append(each)
             if each.split == "train":
                 self._add_moments(data, each.mirrored)
@@ -136,7 +135,9 @@ def write_arrays(
         rules = _write_phases(writers["phases"], features, kinds, written.clips, options.layout)
         for name in ("contacts", "ground", "phases"):
             writers[name].close()
-    return _manifest(prepared, written, rules), _type_table(written.clips, kinds, plan.types, plan.twin_types)
+    return _manifest(prepared, written, rules), _type_table(
+        written.clips, kinds, plan.types, plan.mirror_types
+    )
 
 
 def _manifest(prepared: list[Prepared], written: _Clips, rules: dict[int, PhaseRule]) -> dict[str, Any]:
@@ -150,7 +151,7 @@ def _manifest(prepared: list[Prepared], written: _Clips, rules: dict[int, PhaseR
         "smoothed": plan.options.smooth,
         "phase_seconds": {plan.types[k]: round(rule.frames / FPS, 3) for k, rule in sorted(rules.items())},
         "phase_events": {plan.types[k]: rule.event for k, rule in sorted(rules.items())},
-        **({"mirrored_types": found} if (found := _found_by_motion(plan.twin_types)) else {}),
+        **({"mirrored_types": found} if (found := _found_by_motion(plan.mirror_types)) else {}),
         "bodies": written.bodies,
         "characters": _characters(prepared, plan.options.own_bodies),
         "references": plan.references.tolist(),
@@ -174,9 +175,9 @@ def _all_poses(prepared: list[Prepared]) -> dict[str, np.ndarray]:
     return {kind: np.concatenate(found) for kind, found in parts.items()}
 
 
-def _found_by_motion(twin_types: Mapping[str, str]) -> dict[str, str]:
+def _found_by_motion(mirror_types: Mapping[str, str]) -> dict[str, str]:
     """The types whose mirror image was found by motion, because its name does not follow from the type's name."""
-    return {kind: other for kind, other in twin_types.items() if other != mirrored_type(kind)}
+    return {kind: other for kind, other in mirror_types.items() if other != mirrored_type(kind)}
 
 
 def _write_phases(
@@ -185,12 +186,12 @@ def _write_phases(
     """Write the phases, clip by clip in row order; returns the rule of each type with a phase."""
     rows = {clip.start: slice(clip.start, clip.start + clip.frames) for clip in clips}.values()
 
-    def shown() -> Iterator[tuple[Array, np.ndarray]]:
+    def clips_of_rows() -> Iterator[tuple[Array, np.ndarray]]:
         for r in rows:
             yield np.array(features[r]), np.array(types[r])
 
-    rules = phase_rules(shown(), layout)
-    for poses, kinds in shown():
+    rules = phase_rules(clips_of_rows(), layout)
+    for poses, kinds in clips_of_rows():
         phases.append(phase_track(poses, kinds, rules, layout))
     return rules
 
@@ -231,17 +232,10 @@ def _references(prepared: list[Prepared]) -> Array:
 @contextmanager
 def _array_writers(folder: Path, rows: int) -> Iterator[dict[str, ArrayWriter]]:
     """A writer for each array of the dataset, with this many rows; all are closed when the block ends."""
-    kinds: dict[str, tuple[tuple[int, ...], type]] = {
-        "features": ((rows, FEATURE_COUNT), np.float32),
-        "contacts": ((rows, 4), np.uint8),
-        "ground": ((rows, 3), np.float32),
-        "types": ((rows,), np.int16),
-        "phases": ((rows,), np.float32),
-    }
     writers: dict[str, ArrayWriter] = {}
     try:
-        for name, (shape, dtype) in kinds.items():
-            writers[name] = ArrayWriter(folder, name, shape, dtype)
+        for name, (columns, dtype, *_) in ARRAY_KINDS.items():
+            writers[name] = ArrayWriter(folder, name, (rows, *columns), dtype)
         yield writers
     finally:
         for writer in writers.values():
@@ -268,26 +262,26 @@ def _encode_file(item: tuple[Prepared, Array, Array, tuple[str, ...], Preprocess
         for run in prepared.runs
     ]
     return [
-        ClipData.plain(encoded.features[a:b], encoded.contacts[a:b], encoded.ground[a:b], shown)
-        for (a, b, *_), shown in zip(prepared.runs, kinds, strict=True)
+        ClipData.plain(encoded.features[a:b], encoded.contacts[a:b], encoded.ground[a:b], of_run)
+        for (a, b, *_), of_run in zip(prepared.runs, kinds, strict=True)
     ]
 
 
-def _with_twin(
-    clip: Clip, spans: Sequence[tuple[int, int, str]], twin_types: Mapping[str, str], mirror: bool
+def _with_mirrored(
+    clip: Clip, spans: Sequence[tuple[int, int, str]], mirror_types: Mapping[str, str], mirror: bool
 ) -> list[Clip]:
     """The clip, and its mirrored clip if it gets one."""
     base = asdict(clip)
-    twin = {**base, "name": clip.name + " (mirrored)", "mirrored": True}
+    image = {**base, "name": clip.name + " (mirrored)", "mirrored": True}
     if clip.split == "mirror":
-        trains, tests = {**base, "split": "train"}, {**twin, "split": "test"}
+        trains, tests = {**base, "split": "train"}, {**image, "split": "test"}
         if hashed(clip.name)[0] % 2:
-            trains, tests = {**twin, "split": "train"}, {**base, "split": "test"}
+            trains, tests = {**image, "split": "train"}, {**base, "split": "test"}
         return [Clip(**trains), Clip(**tests)]
     # If the data lacks the type of the other side, the mirror image has no correct label.
-    known = all(twin_types[kind] in twin_types for _, _, kind in spans)
+    known = all(mirror_types[kind] in mirror_types for _, _, kind in spans)
     if clip.split == "train" and mirror and known:
-        return [clip, Clip(**twin)]
+        return [clip, Clip(**image)]
     return [clip]
 
 
@@ -296,7 +290,7 @@ def _plain(scaling: Scaling) -> dict[str, list[float]]:
 
 
 def _type_table(
-    clips: list[Clip], types_array: np.ndarray, types: Sequence[str], twin_types: Mapping[str, str]
+    clips: list[Clip], types_array: np.ndarray, types: Sequence[str], mirror_types: Mapping[str, str]
 ) -> dict[str, dict[str, float]]:
     """For each type: numbers of clips, of mirrored and of held-out clips, and seconds recorded in each split."""
     held_out, splits = ("validation", "test"), ("train", "validation", "test")
@@ -315,8 +309,8 @@ def _type_table(
         for kind, count in zip(kinds, counts, strict=True):
             name = types[kind]
             if clip.mirrored:
-                shown = twin_types[name]
-                row = table[shown if shown in table else name]
+                mirror = mirror_types[name]
+                row = table[mirror if mirror in table else name]
                 row["mirrored"] += 1
             else:
                 row = table[name]

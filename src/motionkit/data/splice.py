@@ -8,14 +8,14 @@ Bollo 2018). Foot locking keeps planted feet from sliding meanwhile.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from motionkit.arrays import Array, lerp
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.features.encode import encode_motion
-from motionkit.finish.feet import contacts_around, lock_feet
+from motionkit.finish.feet import clear_toes, contacts_around, lock_feet
 from motionkit.motion.inertialize import continued, decay_curves
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -41,24 +41,20 @@ class Piece:
 
     Attributes:
         motion: its T frames in the world.
-        ground: (T, 3) root x, z (cm) and heading (radians).
+        data: of the dataset; features and contacts are those of the clip, wherever the piece is moved.
         positions, velocities: (T, 23, 3) of the joints in each frame's heading frame, in cm and cm/s.
-        contacts, types, phases, reference: as in ClipData.
     """
 
     motion: Motion
-    ground: Array
+    data: ClipData
     positions: Array
     velocities: Array
-    contacts: Array
-    types: Array
-    phases: Array
-    reference: Array
 
     def cut(self, end: int) -> Piece:
         """The frames before end."""
-        arrays = {name: value[:end] for name, value in vars(self).items() if name != "motion"}
-        return Piece(self.motion.cut(0, end), **arrays)
+        return Piece(
+            self.motion.cut(0, end), self.data.cut(0, end), self.positions[:end], self.velocities[:end]
+        )
 
 
 def splice_clips(
@@ -83,7 +79,7 @@ def splice_clips(
     clip, start, end = second
     b = cut_piece(dataset, clip, start, min(end, start + HEAD + SEARCH))
     if pause:
-        b = _after_pause(b, pause, a.reference[-1])
+        b = _after_pause(b, pause, a.data.reference[-1])
         i, j, decay = len(a.motion) - 1, 1, pause
     else:
         i, j = _best_join(a, b, pick)
@@ -99,15 +95,13 @@ def splice_clips(
         np.concatenate([a.motion.root_positions[a_start : i + 1], joined.root_positions[: b_end - j - 1]]),
         dataset.fps,
     )
-    contacts = np.concatenate([a.contacts[a_start : i + 1], b.contacts[j + 1 : b_end]])
+    # Reference poses are not blended: they are what is requested, not what the body can follow at once.
+    kept = a.data.cut(a_start, i + 1).followed_by(b.data.cut(j + 1, b_end))
     join = i + 1 - a_start
-    motion = lock_feet(motion, contacts_around(contacts, join, min(join + decay, len(contacts)), dataset.fps))
+    contacts = contacts_around(kept.contacts, join, min(join + decay, len(kept.contacts)), dataset.fps)
+    motion = clear_toes(lock_feet(motion, contacts))
     encoded = encode_motion(motion, dataset.reference_rotations, dataset.layout.version)
-    types = np.concatenate([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
-    phases = np.concatenate([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
-    # Reference poses are not blended: they are what is asked for, not what the body can follow at once.
-    reference = np.concatenate([a.reference[a_start : i + 1], b.reference[j + 1 : b_end]])
-    return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, reference)
+    return replace(kept, features=encoded.features, contacts=encoded.contacts, ground=encoded.ground)
 
 
 def _after_pause(piece: Piece, pause: int, reference: Array) -> Piece:
@@ -116,9 +110,9 @@ def _after_pause(piece: Piece, pause: int, reference: Array) -> Piece:
     The root accelerates evenly. Root height and joints start from nearly the first pose. The reference poses change
     linearly from the given ones (72,) to the piece's first.
     """
-    held = pause + 2
-    to_come = np.arange(held, 0, -1, dtype=np.float32)  # frames left until the piece's first
-    share = np.clip((held - 1 - to_come) / pause, 0.0, None)
+    added = pause + 2
+    to_come = np.arange(added, 0, -1, dtype=np.float32)  # frames left until the piece's first
+    share = np.clip((added - 1 - to_come) / pause, 0.0, None)
     motion = piece.motion
     # Distance to the first frame, in units of the first frame's step. `ahead` is for the root on the ground. `back` is
     # for height and joints, which leave the first pose and return to it.
@@ -126,27 +120,19 @@ def _after_pause(piece: Piece, pause: int, reference: Array) -> Piece:
     back = decay_curves(to_come, float(pause))[1]
 
     def led(values: Array) -> Array:
-        return np.concatenate([np.repeat(values[:1], held, axis=0), values])
+        return np.concatenate([np.repeat(values[:1], added, axis=0), values])
 
-    rotations, root, ground = led(motion.local_rotations), led(motion.root_positions), led(piece.ground)
+    rotations, root = led(motion.local_rotations), led(motion.root_positions)
+    data = ClipData(*map(led, vars(piece.data).values()))
     turn = quat_to_expmap(quat_multiply(motion.local_rotations[1], quat_inverse(motion.local_rotations[0])))
-    rotations[:held] = quat_multiply(expmap_to_quat(-back[:, None, None] * turn), rotations[:held])
-    way = piece.ground[0, :2] - ahead * (piece.ground[1, :2] - piece.ground[0, :2])
-    root[:held, [0, 2]], ground[:held, :2] = way, way
-    root[:held, 1] -= back * (motion.root_positions[1, 1] - motion.root_positions[0, 1])
-    phases, shown = led(piece.phases), led(piece.reference)
-    phases[:held] = -1.0
-    shown[:held] = lerp(reference, piece.reference[0], share[:, None])
-    return Piece(
-        Motion(motion.skeleton, rotations, root, motion.fps),
-        ground,
-        led(piece.positions),
-        led(piece.velocities),
-        led(piece.contacts),
-        led(piece.types),
-        phases,
-        shown,
-    )
+    rotations[:added] = quat_multiply(expmap_to_quat(-back[:, None, None] * turn), rotations[:added])
+    first, second = piece.data.ground[:2, :2]
+    root[:added, [0, 2]] = data.ground[:added, :2] = first - ahead * (second - first)
+    root[:added, 1] -= back * (motion.root_positions[1, 1] - motion.root_positions[0, 1])
+    data.phases[:added] = -1.0
+    data.reference[:added] = lerp(reference, piece.data.reference[0], share[:, None])
+    led_motion = Motion(motion.skeleton, rotations, root, motion.fps)
+    return Piece(led_motion, data, led(piece.positions), led(piece.velocities))
 
 
 def cut_piece(dataset: Dataset, clip: Clip, start: int, end: int) -> Piece:
@@ -158,16 +144,8 @@ def cut_piece(dataset: Dataset, clip: Clip, start: int, end: int) -> Piece:
     turn = quat_from_yaw(-data.ground[:, 2])[:, None]
     velocities = np.diff(positions, axis=0, prepend=positions[:1]) * dataset.fps
     velocities[0] = velocities[1]
-    return Piece(
-        motion,
-        data.ground,
-        quat_rotate(turn, positions - origin[:, None]),
-        quat_rotate(turn, velocities),
-        data.contacts,
-        data.types,
-        data.phases,
-        data.reference,
-    )
+    places = quat_rotate(turn, positions - origin[:, None])
+    return Piece(motion, data, places, quat_rotate(turn, velocities))
 
 
 def _best_join(a: Piece, b: Piece, pick: Callable[[int], int]) -> tuple[int, int]:
@@ -201,15 +179,10 @@ def join_pieces(a: Piece, b: Piece, i: int, j: int, decay: int) -> Piece:
 
     The difference in pose and velocity at the join decays over `decay` frames.
     """
-    turn = a.ground[i, 2] - b.ground[j, 2]
-    way = rotate_ground(turn, b.ground[j + 1 :, :2] - b.ground[j, :2]) + a.ground[i, :2]
-    return Piece(
-        continued(a.motion, i, b.motion, j, turn, decay),
-        np.concatenate([way, b.ground[j + 1 :, 2:] + turn], axis=1),
-        b.positions[j + 1 :],
-        b.velocities[j + 1 :],
-        b.contacts[j + 1 :],
-        b.types[j + 1 :],
-        b.phases[j + 1 :],
-        b.reference[j + 1 :],
-    )
+    before, after = a.data.ground[i], b.data.ground[j]
+    turn = before[2] - after[2]
+    rest = b.data.cut(j + 1, len(b.motion))
+    path = rotate_ground(turn, rest.ground[:, :2] - after[:2]) + before[:2]
+    ground = np.concatenate([path, rest.ground[:, 2:] + turn], axis=1)
+    moved = continued(a.motion, i, b.motion, j, turn, decay)
+    return Piece(moved, replace(rest, ground=ground), b.positions[j + 1 :], b.velocities[j + 1 :])

@@ -14,7 +14,7 @@ VALIDATION_SHARE, VALIDATION_FILES = 0.1, 4
 
 
 def decide_splits(
-    prepared: Sequence[Prepared], mirror: bool, twin_types: Mapping[str, str], test: bool
+    prepared: Sequence[Prepared], mirror: bool, mirror_types: Mapping[str, str], test: bool
 ) -> dict[tuple[int, int], str]:
     """Choose a split for each (file, run) without one.
 
@@ -34,11 +34,11 @@ def decide_splits(
         keys = sorted(open_runs[kind], key=lambda k: hashed(f"{prepared[k[0]].report.name}{k[1]}"))
         if len(keys) == 1:
             i, r = keys[0]
-            same = all(twin_types[shown] == shown for _, _, shown in prepared[i].runs[r].spans)
+            same = all(mirror_types[kind] == kind for _, _, kind in prepared[i].runs[r].spans)
             out[keys[0]] = "mirror" if mirror and same else "train"
             continue
-        held = max(1, round(TEST_SHARE * len(keys)))
-        out.update({key: "test" if n < held else "train" for n, key in enumerate(keys)})
+        count = max(1, round(TEST_SHARE * len(keys)))
+        out.update({key: "test" if n < count else "train" for n, key in enumerate(keys)})
     return out
 
 

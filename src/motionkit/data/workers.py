@@ -12,14 +12,26 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from typing import Any
+
+from motionkit.reading import read_settings, reading
 
 # A function like map, whose results come in order.
 Map = Callable[[Callable, list], Iterator]
+# With fewer files than this per process, starting the process takes longer than it saves.
+_FILES_PER_PROCESS = 40
+
+
+def processes_for(files: int, jobs: int = 0) -> int:
+    """Number of processes for short work on files, if the user gives none."""
+    return jobs or min(os.cpu_count() or 1, files // _FILES_PER_PROCESS)
 
 
 @contextmanager
 def worker_processes(count: int) -> Iterator[Map]:
     """A map over this many processes; a count of one uses the present process.
+
+    They read files with the present settings (motionkit.reading).
 
     The workers end at once if an error or Ctrl-C leaves the block, or if the present process dies.
     """
@@ -33,8 +45,8 @@ def worker_processes(count: int) -> Iterator[Map]:
 
         def each(function: Callable, items: list) -> Iterator:
             others = set(multiprocessing.active_children())
-            with ctrl_c_held():
-                waiting = deque(pool.submit(function, item) for item in items)
+            with ctrl_c_blocked():
+                waiting = deque(pool.submit(_as_here, read_settings(), function, item) for item in items)
                 started.update(set(multiprocessing.active_children()) - others)
             return _results(waiting)
 
@@ -44,6 +56,11 @@ def worker_processes(count: int) -> Iterator[Map]:
             for process in started:
                 process.kill()  # not terminate: a worker that is still importing ignores other signals
             raise
+
+
+def _as_here(how: dict[str, Any], function: Callable, item: Any) -> Any:
+    with reading(**how):
+        return function(item)
 
 
 def _results(waiting: deque[Future]) -> Iterator:
@@ -68,7 +85,7 @@ def _end_with(parent: Connection) -> None:
 
 
 @contextmanager
-def ctrl_c_held() -> Iterator[None]:
+def ctrl_c_blocked() -> Iterator[None]:
     """Block Ctrl-C; processes that are started meanwhile never receive it, not even while they import."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from motionkit.arrays import Array, length
-from motionkit.data.cleaning import Limb, mend
+from motionkit.data.cleaning import Limb, repair
 from motionkit.data.smoothing import smooth, smooth_rotations, window_at
 from motionkit.editing.root_from_feet import root_from_feet
 from motionkit.errors import MotionkitError, SkeletonError
@@ -51,7 +51,7 @@ MOST_APART, APART, APART_SHARE = 3, 10.0, 8.0
 # Share, and amounts besides, by which a step may raise what it is to lower, and what it is not about; nobody sees them.
 WORSE_SHARE = 1.05
 WORSE = {"jerk": 0.02, "afs": 0.005, "floor": 0.02, "standing-speed": 0.1}
-WORSE_BESIDE = {"afs": 0.02, "penetration-max": 0.5}
+WORSE_BESIDE = {"afs": 0.02, "penetration-max": 0.5, "jerk": 0.02}
 # cm that a pass moves joints, in the mean and at most, below which it is left out and repairs end: nobody sees them.
 SEEN_MEAN, SEEN = 0.05, 1.0
 # Share of a track's third differences that the filter leaves at most if it trembles: .06 to .45 in trembling captures,
@@ -118,7 +118,7 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
     made, rig = source.motion, _rig(source.motion)
     limbs = _limbs(made, rig)
     costs = _Costs(_standing(source))
-    found = mend(made, limbs)[1]
+    found = repair(made, limbs)[1]
     glitches: list[tuple[int, str]] = []
     notes: list[str] = []
     if first:
@@ -129,21 +129,24 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         tried = _one_pass(made, repairs, rig, limbs, costs)
         notes += tried.notes if number == 0 else ()
         refused = tried.refused if number == 0 else {k: v for k, v in refused.items() if k in tried.refused}
-        if _settled(made, tried.motion):
+        if _unchanged(made, tried.motion):
             break
         made, glitches = tried.motion, [*glitches, *tried.glitches]
     if made is source.motion:
         same = costs.table(source, source, (len(found),) * 2)
         return Fixed(motion, same, (), (*notes, *refused.values(), "nothing to repair"))
-    table = costs.table(source, Upright(made), (len(found), len(mend(made, limbs)[1])))
-    told = tuple(dict.fromkeys((frame + first, joint) for frame, joint in glitches))
+    table = costs.table(source, Upright(made), (len(found), len(repair(made, limbs)[1])))
+    repaired_frames = tuple(dict.fromkeys((frame + first, joint) for frame, joint in glitches))
     return Fixed(
-        motion.cut(0, first).followed_by(source.back(made)), table, told, (*notes, *refused.values())
+        motion.cut(0, first).followed_by(source.back(made)),
+        table,
+        repaired_frames,
+        (*notes, *refused.values()),
     )
 
 
 class _Pass(NamedTuple):
-    """What one pass of all repairs made: the motion, the glitches that it mended, notes, and why steps were refused."""
+    """What one pass of all repairs made: the motion, the repaired glitches, notes, and why steps were refused."""
 
     motion: Motion
     glitches: list[tuple[int, str]]
@@ -154,7 +157,7 @@ class _Pass(NamedTuple):
 def _one_pass(
     source: Motion, repairs: Repairs, rig: RigMap | None, limbs: list[Limb], costs: _Costs
 ) -> _Pass:
-    """All wanted repairs once. They depend on the motion alone, so that a next run leaves what is settled here."""
+    """All chosen repairs once. They depend on the motion alone, so that a next run leaves what is repaired here."""
     made = Upright(source)
     first = was = costs.of(made)
     glitches: list[tuple[int, str]] = []
@@ -163,25 +166,25 @@ def _one_pass(
     if repairs.glitches:
         bridged, spikes = _without_spikes(source)
         notes += [f"the root leaps away in {counted(spikes, 'frame')}: bridged"] if spikes else []
-        mended, glitches = _mended(bridged, limbs)
-        if mended is not source:
-            made = Upright(mended)
+        repaired, glitches = _without_glitches(bridged, limbs)
+        if repaired is not source:
+            made = Upright(repaired)
             was = costs.of(made)
     for step in _steps(repairs, rig):
-        motion, told = step.make(made)
+        motion, step_notes = step.make(made)
         if motion is not made.motion:
             tried = Upright(motion)
             now = costs.of(tried)
             if worse := _made_worse(step, was, now, first) or _overturned(made, tried):
                 refused[step.name] = f"{step.name}: taken back, because {worse}"
-                told = ()
+                step_notes = ()
             else:
                 made, was = tried, now
-        notes += told
+        notes += step_notes
     return _Pass(made.motion, glitches, list(dict.fromkeys(notes)), refused)
 
 
-def _settled(before: Motion, after: Motion) -> bool:
+def _unchanged(before: Motion, after: Motion) -> bool:
     """Whether a pass has changed nothing that a person could see."""
     moved = np.linalg.norm(motion_kinematics(after)[1] - motion_kinematics(before)[1], axis=-1)
     return bool(moved.mean() < SEEN_MEAN and moved.max() < SEEN)
@@ -202,16 +205,16 @@ def _apart(motion: Motion) -> int:
     return first
 
 
-def _mended(motion: Motion, limbs: list[Limb]) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion without glitches, mended as long as that leaves fewer of them, and all that were mended."""
+def _without_glitches(motion: Motion, limbs: list[Limb]) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion without glitches, repaired as long as that leaves fewer of them, and all that were repaired."""
     every: list[tuple[int, str]] = []
-    mended, found = mend(motion, limbs)
+    repaired, found = repair(motion, limbs)
     for _ in range(PASSES):
-        again, left = mend(mended, limbs)
+        again, left = repair(repaired, limbs)
         if len(left) >= len(found):
             break
-        motion, every = mended, every + found
-        mended, found = again, left
+        motion, every = repaired, every + found
+        repaired, found = again, left
     return motion, list(dict.fromkeys(every))
 
 
@@ -246,7 +249,7 @@ class _Step(NamedTuple):
 
 
 def _steps(repairs: Repairs, rig: RigMap | None) -> list[_Step]:
-    """The wanted repairs after those of glitches, in order."""
+    """The chosen repairs after those of glitches, in order."""
     floor, sliding = Repairs(sliding=False), Repairs(floor=False)
     steps = [
         (
@@ -257,14 +260,11 @@ def _steps(repairs: Repairs, rig: RigMap | None) -> list[_Step]:
         (repairs.floor, _Step("floor", "floor", lambda made: _on_the_floor(made, rig, floor))),
         (repairs.sliding, _Step("sliding", "standing-speed", lambda made: _on_the_floor(made, rig, sliding))),
     ]
-    return [step for wanted, step in steps if wanted]
+    return [step for chosen, step in steps if chosen]
 
 
 def _made_worse(step: _Step, was: dict[str, float], now: dict[str, float], first: dict[str, float]) -> str:
-    """What a step makes worse, in words: what it is to lower, or feet beyond those of the source; "" for nothing.
-
-    Jerk may rise, because feet that are held stop.
-    """
+    """What a step makes worse, in words: what it is to lower, or feet and jerk beyond the source's; "" for nothing."""
     limits = {name: max(was.get(name, 0.0), first.get(name, np.inf)) for name in WORSE_BESIDE}
     limits |= {step.measure: was[step.measure]} if step.measure in was else {}
     for name, before in limits.items():
@@ -290,7 +290,7 @@ def _standing(source: Upright) -> Array:
 class _Costs:
     """What is measured of a clip before and after repairs; stands (T, 2) are the toes that stand before."""
 
-    stands: Array
+    standing_toes: Array
 
     def measured(self, upright: Upright) -> dict[str, tuple[float, str]]:
         """The values and units of MEASURED that can be taken."""
@@ -303,10 +303,10 @@ class _Costs:
             return {}
         values = {name: rows[name] for name in MEASURED if name in rows}
         out = {name: (row.value, row.unit) for name, row in values.items() if row.value is not None}
-        if self.stands.any():
+        if self.standing_toes.any():
             toes = upright.positions[:, list(TOES)].astype(np.float64)
             speeds = length(np.diff(toes[..., ::2], axis=0)) * upright.motion.fps
-            out["standing-speed"] = float(speeds[self.stands[1:]].mean()), "cm/s"
+            out["standing-speed"] = float(speeds[self.standing_toes[1:]].mean()), "cm/s"
         return out
 
     def of(self, upright: Upright) -> dict[str, float]:

@@ -18,10 +18,10 @@ from motionkit.arrays import Array, distances_between, lerp, smoothstep
 from motionkit.editing.fix import moved_like
 from motionkit.editing.loop import pose_rows
 from motionkit.errors import MotionkitError, SkeletonError
-from motionkit.finish.feet import contacts_around, lock_feet
+from motionkit.finish.feet import clear_toes, contacts_around, lock_feet
 from motionkit.finish.on_rig import on_rig
-from motionkit.free_memory import BYTES_BESIDE, check_memory
-from motionkit.metrics.foot_sliding import average_foot_sliding
+from motionkit.free_memory import check_memory
+from motionkit.metrics.ground import average_foot_sliding
 from motionkit.motion.bvh import motion_to_bvh
 from motionkit.motion.floor import floor_height, floor_shift, foot_positions
 from motionkit.motion.inertialize import continued
@@ -42,9 +42,9 @@ WINDOW = 1.0  # s at the end of a clip and at the start of the next in which fra
 BLEND = 0.5  # s over which the difference at a join decays
 # cm, mean distance of the joints of two poses: further apart they are not joined, and from FAR on the blend shows.
 MOST_APART, FAR = 25.0, 15.0
-AS_GOOD, NEAR = 1.1, 0.2  # share, and cm besides, of the best pair within which another is as good
+AS_GOOD, NEAR = 1.1, 0.2  # a pair within this factor and this many cm of the best is as good
 SAME_REST = 0.01  # share of the body by which the bones of the same rig may differ
-FADE = 0.2  # s over which what holds the feet comes and goes beside them
+FADE = 0.2  # s before and after, over which foot locking fades in and out
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Seam:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        held = self.sliding or (None, None)
+        sliding = self.sliding or (None, None)
         return {
             "leave": self.leave,
             "enter": self.enter,
@@ -88,8 +88,8 @@ class Seam:
             "apart_cm": self.apart,
             "farthest": self.farthest[0],
             "farthest_cm": self.farthest[1],
-            "sliding_cm_s": held[0],
-            "sliding_held_cm_s": held[1],
+            "sliding_cm_s": sliding[0],
+            "sliding_held_cm_s": sliding[1],
         }
 
 
@@ -128,38 +128,47 @@ def join_motions(
         SkeletonError: motions of different rigs, of which one is not human.
     """
     names = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
-    if len(motions) < 2:
-        raise MotionkitError(f"expected at least 2 clips to join, found {len(motions)}")
-    check_memory(sum(map(len, motions)), len(motions[0].skeleton), motions[0].fps, BYTES_BESIDE)
-    if at is not None and len(at) != len(motions) - 1:
-        raise MotionkitError(f"{len(motions)} clips have {len(motions) - 1} joins, found times for {len(at)}")
-    rate = fps or motions[0].fps
-    first, *others = _on_one_rig([resample(each, rate) for each in motions], rig, names)
-    _check_lengths([first, *others], names, window)
-    made, contacts, seams = first.motion, first.contacts, list[Seam]()
+    rate = fps or (motions[0].fps if motions else 0.0)
+    _check_number(motions, at, rate)
+    clips = _on_one_rig([resample(each, rate) for each in motions], rig, names)
+    _check_lengths(clips, names, window)
+    parts, contacts, seams = [clips[0].motion], [clips[0].contacts], list[Seam]()
+    before = 0  # frames of all parts but the last
     start, turn = 0, 0.0  # the frame at which the clip before was entered, and by how much it was turned
-    for number, (left, entered) in enumerate(pairwise([first, *others])):
+    for number, (left, entered) in enumerate(pairwise(clips)):
         words = (names[number], names[number + 1])
         i, j = (
             _best_frames(left, entered, start, window, blend, words)
             if at is None
-            else _told_frames(left, entered, start, at[number], words)
+            else _requested_frames(left, entered, start, at[number], words)
         )
-        frame = len(made) - (len(left.motion) - 1 - i)
-        seams.append(_seam(left, entered, i, j, frame))
+        left_out = len(left.motion) - 1 - i
+        end = len(parts[-1]) - left_out
+        seams.append(_seam(left, entered, i, j, before + end))
         turn += float(left.heading[i] - entered.heading[j])
         decay = max(1, round(blend * rate))
-        after = continued(made, frame - 1, entered.motion, j, np.array(turn, np.float32), decay)
-        made = _appended(made.cut(0, frame), after)
-        contacts = np.concatenate([contacts[:frame], entered.contacts[j + 1 :]])
+        parts[-1:] = _joined_at(parts[-1], end, entered.motion, j, turn, decay)
+        before += len(parts[-2])
+        contacts[-1:] = contacts[-1][: len(contacts[-1]) - left_out], entered.contacts[j + 1 :]
         start = j
-    held = _held(made, contacts, [seam.frame for seam in seams], round(blend * rate))
-    slides = [_sliding(each, [seam.frame for seam in seams], blend) for each in (made, held)]
-    told = [
-        replace(seam, sliding=None if before is None or now is None else (before, now))
-        for seam, before, now in zip(seams, *slides, strict=True)
+    made = parts[0].followed_by(*parts[1:])
+    frames = [seam.frame for seam in seams]
+    locked = _with_locked_feet(made, np.concatenate(contacts), frames, round(blend * rate))
+    slides = zip(*(_sliding(each, frames, blend) for each in (made, locked)), strict=True)
+    measured = [
+        replace(seam, sliding=None if None in slid else slid)
+        for seam, slid in zip(seams, slides, strict=True)
     ]
-    return Joined(first.back(held), tuple(told))
+    return Joined(clips[0].back(locked), tuple(measured))
+
+
+def _check_number(motions: Sequence[Motion], at: Sequence[tuple[float, float]] | None, rate: float) -> None:
+    if len(motions) < 2:
+        raise MotionkitError(f"expected at least 2 clips to join, found {len(motions)}")
+    if at is not None and len(at) != len(motions) - 1:
+        raise MotionkitError(f"{len(motions)} clips have {len(motions) - 1} joins, found times for {len(at)}")
+    joints = max(len(each.skeleton) for each in motions)
+    check_memory(round(sum(each.seconds for each in motions) * rate), joints, rate)
 
 
 def _on_one_rig(motions: Sequence[Motion], rig: Rig | None, names: Sequence[str]) -> list[Upright]:
@@ -205,8 +214,8 @@ def _retargeted(motion: Motion, rig: Rig, scale: float, up: Array, name: str) ->
         canonical = on_the_floor(retarget(motion_to_bvh(motion))[0])
     except SkeletonError as error:
         raise SkeletonError(f"{name}: is on another rig, and {error}") from None
-    own = rig.skeleton.same_hierarchy(motion.skeleton) and motion.local_positions is None
-    made = on_rig(canonical, rig, clip=motion if own else None)
+    same_rig = rig.skeleton.same_hierarchy(motion.skeleton) and motion.local_positions is None
+    made = on_rig(canonical, rig, clip=motion if same_rig else None)
     with reading(up=up_name(up), cm=scale):
         return Upright.of(made)
 
@@ -215,10 +224,10 @@ def _level(upright: Upright, first: Upright) -> Upright:
     """A motion whose feet stand as high as those of the first; as it is if one of them never stands."""
     if upright.canonical is None or first.canonical is None:
         return upright
-    (mine, notes), (wanted, others) = floor_shift(upright.canonical), floor_shift(first.canonical)
+    (mine, notes), (target, others) = floor_shift(upright.canonical), floor_shift(first.canonical)
     if notes or others:
         return upright
-    up = np.array([0.0, mine - wanted, 0.0], np.float32)
+    up = np.array([0.0, mine - target, 0.0], np.float32)
     return replace(upright, motion=replace(upright.motion, root_positions=upright.motion.root_positions + up))
 
 
@@ -241,7 +250,7 @@ def _check_lengths(clips: Sequence[Upright], names: Sequence[str], window: float
             )
 
 
-def _told_frames(
+def _requested_frames(
     left: Upright, entered: Upright, start: int, at: tuple[float, float], words: tuple[str, str]
 ) -> tuple[int, int]:
     """The frames of given times, for which there must be a frame before and after."""
@@ -294,13 +303,17 @@ def _seam(left: Upright, entered: Upright, i: int, j: int, frame: int) -> Seam:
     return Seam(i / fps, j / fps, frame, *_apart(left, entered, i, j), None)
 
 
-def _appended(motion: Motion, after: Motion) -> Motion:
-    """Two motions on the same joints, one after the other."""
-    joined = motion.followed_by(after)
-    return replace(joined, local_rotations=quat_continuous(joined.local_rotations))
+def _joined_at(
+    made: Motion, end: int, entered: Motion, j: int, turn: float, decay: int
+) -> tuple[Motion, Motion]:
+    """A motion until `end`, and then another from after frame j: what stays, and the end that the next join needs."""
+    after = continued(made, end - 1, entered, j, np.array(turn, np.float32), decay)
+    speed = max(end - 2, 0)  # two frames give the speed at a join
+    joined = made.cut(speed, end).followed_by(after)
+    return made.cut(0, speed), replace(joined, local_rotations=quat_continuous(joined.local_rotations))
 
 
-def _held(motion: Motion, contacts: Array, frames: Sequence[int], decay: int) -> Motion:
+def _with_locked_feet(motion: Motion, contacts: Array, frames: Sequence[int], decay: int) -> Motion:
     """The motion with feet locked that are in contact while the difference at a join decays.
 
     Args:
@@ -320,19 +333,21 @@ def _held(motion: Motion, contacts: Array, frames: Sequence[int], decay: int) ->
         near = np.maximum(near, touching)
         share[frame:end] = 1.0
     share[near.any(axis=1)] = 1.0
-    distance = np.abs(np.arange(len(motion))[:, None] - np.flatnonzero(share)[None]).min(axis=1)
+    every, marked = np.arange(len(motion)), np.flatnonzero(share)
+    ahead = np.searchsorted(marked, every).clip(max=len(marked) - 1)
+    distance = np.minimum(np.abs(marked[ahead] - every), np.abs(marked[ahead - 1] - every))
     share = smoothstep(np.clip(1.0 - distance / (FADE * motion.fps), 0.0, 1.0)).astype(np.float32)
-    locked = lock_feet(before, near)
+    locked = clear_toes(lock_feet(before, near))
     after = replace(
         before,
         local_rotations=quat_slerp(before.local_rotations, locked.local_rotations, share[:, None]),
         root_positions=lerp(before.root_positions, locked.root_positions, share[:, None]),
     )
-    held, changed = moved_like(motion, map_rig(motion.skeleton), before, after), share > 0.0
+    moved, changed = moved_like(motion, map_rig(motion.skeleton), before, after), share > 0.0
     return replace(
-        held,
-        local_rotations=np.where(changed[:, None, None], held.local_rotations, motion.local_rotations),
-        root_positions=np.where(changed[:, None], held.root_positions, motion.root_positions),
+        moved,
+        local_rotations=np.where(changed[:, None, None], moved.local_rotations, motion.local_rotations),
+        root_positions=np.where(changed[:, None], moved.root_positions, motion.root_positions),
     )
 
 

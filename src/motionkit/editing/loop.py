@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 SHORTEST = 0.4  # s, shortest cycle; half a step never looks like a cycle
 COARSE = 1200  # most frames in the first search; the second search refines the result at the full rate
+STRETCH = 120.0  # s, longest part of a clip that is searched at once, or four cycles: strides stay shorter than steps
 VELOCITY_SECONDS = 0.08  # s, weight of velocities: a difference of 1 cm/s counts as 0.08 cm
 CONTACT_CM = 6.0  # cm, cost of one foot joint that is in contact at one end only
 MOST_TURN = np.deg2rad(30.0)  # largest turn of a cycle; it is removed evenly over the cycle
@@ -245,9 +246,38 @@ def _cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, fl
 def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, float]:
     """First and last frame of the best cycle, and the difference between them in cm.
 
+    A long clip is searched in stretches. Of their cycles, those at the clip's pace are preferred.
+
     Raises:
         MotionkitError: the motion never repeats.
     """
+    motion = upright.motion
+    stretches = -(-len(motion) // round(max(STRETCH, 4.0 * (seconds or 0.0)) * motion.fps))
+    if stretches <= 1:
+        return _found(upright, seconds)
+    usual = float(np.median(_paces(upright)))
+    found, faults = [], set[str]()
+    for frames in np.array_split(np.arange(len(motion)), stretches):
+        first = int(frames[0])
+        part = Upright(motion.cut(first, first + len(frames)))
+        try:
+            start, end, difference = _found(part, seconds)
+        except MotionkitError as error:
+            faults.add(str(error))
+            continue
+        pace = float(_paces(part)[start : end + 1].mean())
+        found.append(
+            (abs(pace - usual) > max(PACE_SHARE * usual, PACE), difference, first + start, first + end)
+        )
+    if not found:
+        words = f"the clip never repeats within {len(motion) / stretches / motion.fps:.0f} s"
+        raise MotionkitError(faults.pop() if len(faults) == 1 else words)
+    _, difference, start, end = min(found)
+    return start, end, difference
+
+
+def _found(upright: Upright, seconds: float | None) -> tuple[int, int, float]:
+    """The cycle of find_cycle in a clip that is not too long for one search."""
     fps, frames = upright.motion.fps, len(upright.motion)
     least = max(3, round(SHORTEST * fps))
     if frames <= least + 1:
@@ -305,13 +335,15 @@ def pose_rows(upright: Upright) -> Array:
     poses = upright.facing_positions.astype(np.float64)
     frames, joints = poses.shape[:2]
     track = upright.positions[:, 0, [0, 2]].astype(np.float64)
-    way = rotate_ground(-upright.heading.astype(np.float64), np.gradient(track, axis=0)) * upright.motion.fps
+    velocity = (
+        rotate_ground(-upright.heading.astype(np.float64), np.gradient(track, axis=0)) * upright.motion.fps
+    )
     speeds = np.gradient(poses, axis=0) * upright.motion.fps
     # Poses hardly show sliding feet and a stopping root, so root velocity weighs as much as all joints together.
     parts = [
         poses.reshape(frames, -1) / np.sqrt(joints),
         VELOCITY_SECONDS * speeds.reshape(frames, -1) / np.sqrt(joints),
-        VELOCITY_SECONDS * way,
+        VELOCITY_SECONDS * velocity,
         CONTACT_CM / 2.0 * upright.contacts,
     ]
     return np.concatenate(parts, axis=1)
@@ -336,16 +368,20 @@ def _reach(apart: Array) -> Array:
     return np.asarray(np.maximum.accumulate(np.triu(apart), axis=1))
 
 
+def _paces(upright: Upright) -> Array:
+    """Speeds (T,) over the ground in cm/s."""
+    track = upright.positions[:, 0, [0, 2]].astype(np.float64)
+    return np.linalg.norm(np.gradient(track, axis=0), axis=1) * upright.motion.fps
+
+
 def _at_its_pace(upright: Upright, every: Array) -> Array:
     """Which pairs of frames (N, N) enclose motion at about the clip's median speed."""
-    fps = upright.motion.fps
-    track = upright.positions[:, 0, [0, 2]].astype(np.float64)
-    speeds = np.linalg.norm(np.gradient(track, axis=0), axis=1) * fps
+    fps, speeds = upright.motion.fps, _paces(upright)
     usual = float(np.median(speeds))
-    way = np.cumsum(speeds)[every] / fps
+    distance = np.cumsum(speeds)[every] / fps
     lengths = np.maximum(every[None, :] - every[:, None], 1) / fps
     return np.asarray(
-        np.abs((way[None, :] - way[:, None]) / lengths - usual) <= max(PACE_SHARE * usual, PACE)
+        np.abs((distance[None, :] - distance[:, None]) / lengths - usual) <= max(PACE_SHARE * usual, PACE)
     )
 
 
@@ -412,7 +448,7 @@ def _closed(upright: Upright, start: int, end: int) -> Motion:
     straight = heading[0] + np.concatenate([[0.0], np.cumsum(rate)])
     straight += fade @ np.array([rate[0] - rate[-1]])
     heights = source.root_positions[:, 1:2].astype(np.float64)
-    place = _closed_way(
+    place = _closed_track(
         source.root_positions[:, [0, 2]].astype(np.float64), heading, straight, fade, upright.motion.fps
     )
     rotations[:, 0] = quat_multiply(quat_from_yaw(straight), rotations[:, 0])
@@ -460,7 +496,7 @@ def _closed_values(values: Array, share: Array, fade: Array) -> Array:
     return out
 
 
-def _closed_way(track: Array, heading: Array, straight: Array, fade: Array, fps: float) -> Array:
+def _closed_track(track: Array, heading: Array, straight: Array, fade: Array, fps: float) -> Array:
     """The ground track (T, 2) for new headings: the same steps in the heading frame, with equal first and last step.
 
     A track that hardly travels ends at its start.

@@ -17,7 +17,7 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton
-from motionkit.rig.rest_pose import SIDES, SourceRig, body_frame, stands
+from motionkit.rig.rest_pose import SIDES, SourceRig, body_frame, is_standing
 from motionkit.rig.retarget import to_local
 from motionkit.rig.rig import Rig, make_rig, mover, stance_part
 from motionkit.rig.standing_pose import standing_turns
@@ -72,12 +72,12 @@ def with_rest_pose(motion: Motion, name: str, rig: Rig | None = None) -> Motion:
     for joint, end in skeleton.end_sites.items():
         x, y, z = quat_rotate(turns[joint], np.array(end, np.float32))
         ends[joint] = (float(x), float(y), float(z))
-    rested = replace(skeleton, offsets=offsets, end_sites=ends)
+    with_final_rest = replace(skeleton, offsets=offsets, end_sites=ends)
     moves = motion.local_positions
     local = quat_multiply(quat_multiply(above, motion.local_rotations), quat_inverse(turns))
     return replace(
         motion,
-        skeleton=rested,
+        skeleton=with_final_rest,
         local_rotations=quat_continuous(local),
         local_positions=None
         if moves is None
@@ -94,7 +94,7 @@ def _standing(name: str, rig: Rig, fps: float) -> Motion:
 def _rest_pose(rig: Rig, fps: float) -> Motion:
     """One frame of the rest pose, or of a T-pose."""
     skeleton, source = rig.skeleton, SourceRig(rig.skeleton, rig.joints, rig.skeleton.rest_positions())
-    if stands(source, body_frame(source)):
+    if is_standing(source, body_frame(source)):
         still = quat_identity((1, len(skeleton)))
         return Motion(skeleton, still, skeleton.offsets[:1].astype(np.float32), fps)
     return _standing("tpose", rig, fps)

@@ -84,8 +84,8 @@ def _roots(motion: Motion) -> Doubles:
     weights[:, ANKLES] = 0.0  # an ankle moves on while its foot rolls
     moves = -np.diff(points[..., [0, 2]], axis=0) * motion.fps
     speeds = _smoothest(moves, np.minimum(weights[1:], weights[:-1]), motion.fps)
-    way = np.concatenate([np.zeros((1, 2)), np.cumsum(speeds, axis=0) / motion.fps])
-    roots = motion.root_positions - centre + np.stack([way[:, 0], height, way[:, 1]], axis=1)
+    path = np.concatenate([np.zeros((1, 2)), np.cumsum(speeds, axis=0) / motion.fps])
+    roots = motion.root_positions - centre + np.stack([path[:, 0], height, path[:, 1]], axis=1)
     roots[:, [0, 2]] += motion.root_positions[0, [0, 2]] - roots[0, [0, 2]]
     return np.asarray(roots, np.float64)
 
@@ -108,13 +108,13 @@ def _flown(standing: Doubles, fps: float) -> Doubles:
     ends = spans(_thrown(standing[::-1], fall)[::-1] > standing + FEET.lifts)
     out = standing.copy()
     for start, over in starts:
-        begun, end = next((each for each in ends if start <= each[0] and over <= each[1]), (over, len(out)))
-        if end - start > FEET.longest * fps or begun - over > FEET.gap * (end - start):
+        resumed, end = next((each for each in ends if start <= each[0] and over <= each[1]), (over, len(out)))
+        if end - start > FEET.longest * fps or resumed - over > FEET.gap * (end - start):
             continue
         frames = np.arange(start - 1, min(end + 1, len(out)))
         line = np.interp(frames, frames[[0, -1]], standing[frames[[0, -1]]])
         arc = line - 0.5 * fall * (frames - frames[0]) * (frames[-1] - frames)
-        # Who flies so long leaves the floor upwards and comes down on it, about as fast as the arc.
+        # A body that flies so long leaves the floor upwards and lands on it, about as fast as the arc.
         rises = standing[start - 1] - standing[max(start - 2, 0)]
         falls = standing[frames[-1]] - standing[min(frames[-1] + 1, len(out) - 1)]
         if min(rises, falls) > FEET.leaps * 0.5 * -fall * (end - start):
@@ -146,9 +146,9 @@ def _solved(weights: Doubles, values: Doubles, stiff: float) -> Doubles:
 
     The equations are tridiagonal: each row is eliminated by the one before it, then solved from the last one on.
     """
-    own = weights + 2.0 * stiff + 1e-9
-    own[[0, -1]] -= stiff
-    diagonal, right = own.tolist(), (values[:, 0] + 1j * values[:, 1]).tolist()
+    pivots = weights + 2.0 * stiff + 1e-9
+    pivots[[0, -1]] -= stiff
+    diagonal, right = pivots.tolist(), (values[:, 0] + 1j * values[:, 1]).tolist()
     for t in range(1, len(right)):
         share = stiff / diagonal[t - 1]
         diagonal[t] -= share * stiff

@@ -72,9 +72,9 @@ def in_place(motion: Motion, cyclic: bool = False) -> Motion:
     if body is not None:  # which stays below the body
         motion = _on_root_bone(motion, body, cyclic)
     upright = Upright.of(motion)
-    way = ground_track(upright, cyclic)[:, :2] if body is None else upright.motion.root_positions[:, [0, 2]]
+    track = ground_track(upright, cyclic)[:, :2] if body is None else upright.motion.root_positions[:, [0, 2]]
     roots = upright.motion.root_positions.copy()
-    roots[:, [0, 2]] -= way.astype(roots.dtype)
+    roots[:, [0, 2]] -= track.astype(roots.dtype)
     return upright.back(replace(upright.motion, root_positions=roots))
 
 
@@ -85,10 +85,10 @@ def at_origin(motion: Motion, cyclic: bool = False) -> Motion:
     """
     upright = Upright.of(motion)
     source = upright.motion
-    way = ground_track(upright, cyclic)
-    facing = math.atan2(np.sin(way[:, 2]).mean(), np.cos(way[:, 2]).mean())
+    track = ground_track(upright, cyclic)
+    facing = math.atan2(np.sin(track[:, 2]).mean(), np.cos(track[:, 2]).mean())
     turn = quat_from_yaw(np.array(-facing, np.float32))
-    start = np.array([way[0, 0], 0.0, way[0, 1]], np.float32)
+    start = np.array([track[0, 0], 0.0, track[0, 1]], np.float32)
     rotations = source.local_rotations.copy()
     rotations[:, 0] = quat_continuous(quat_multiply(turn, rotations[:, 0])[:, None])[:, 0]
     roots = quat_rotate(turn, source.root_positions - start).astype(source.root_positions.dtype)

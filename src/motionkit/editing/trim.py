@@ -8,7 +8,7 @@ from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.rig.upright import Upright
 
-MOVES = 15.0  # cm/s of the joint that moves most, above which a body moves; who stands sways by less
+MOVES = 15.0  # cm/s of the joint that moves most, above which a body moves; a standing body sways by less
 MARGIN = 0.25  # s kept before and after the movement
 
 

@@ -31,6 +31,7 @@ class Clip:
             motion added. None to show the motion on a body of motionkit.
         body: the one of BODIES that human rigs get then.
         alone: leave out the animations that the character's file has.
+        per_unit: lengths of the motion to one unit of the file it was read from.
     """
 
     motion: Motion
@@ -41,6 +42,11 @@ class Clip:
     character: Character | None = None
     body: str = BODIES[0]
     alone: bool = False
+    per_unit: float = 1.0
+
+    def in_file(self) -> Motion:
+        """The motion in the unit of the file it was read from."""
+        return self.motion if self.per_unit == 1.0 else self.motion.scaled(1.0 / self.per_unit)
 
     def with_motion(self, motion: Motion) -> Clip:
         """The clip with an edited motion; keeps channels and hierarchy if they fit it, and its character anyway."""

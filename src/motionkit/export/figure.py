@@ -69,16 +69,7 @@ class Figure:
         above = self.from_parents()
         turns = quat_normalize(self.motion.local_rotations.astype(np.float64))
         turned = quat_multiply(quat_multiply(above, turns), self.axes)
-        return quat_continuous(turned), quat_rotate(above, joint_translations(self.motion).astype(np.float64))
-
-
-def joint_translations(motion: Motion) -> Array:
-    """Local translations (T, J, 3) of all joints; the root's is its position in the world."""
-    shape = (len(motion), len(motion.skeleton), 3)
-    still = np.broadcast_to(motion.skeleton.offsets, shape)
-    places = np.array(still if motion.local_positions is None else motion.local_positions, np.float32)
-    places[:, 0] = motion.root_positions
-    return places
+        return quat_continuous(turned), quat_rotate(above, self.motion.translations().astype(np.float64))
 
 
 def make_figure(motion: Motion, body: str = BODIES[0]) -> Figure:
@@ -108,17 +99,17 @@ def bone_axes(skeleton: Skeleton) -> Array:
     Of several bones below a joint the one counts that best goes on from the bone above, and upwards from the root.
     """
     tiny = tiny_length(skeleton)
-    ways = np.tile([0.0, 1.0, 0.0], (len(skeleton), 1))  # of the bones, from the root on
+    directions = np.tile([0.0, 1.0, 0.0], (len(skeleton), 1))  # of the bones, from the root on
     for joint, parent in enumerate(skeleton.parents):
-        came = ways[parent] if parent >= 0 else ways[joint]
+        came = directions[parent] if parent >= 0 else directions[joint]
         ends = [end for end in _ends_below(skeleton, joint, tiny) if np.linalg.norm(end) > tiny]
         ends = [end / np.linalg.norm(end) for end in ends]
-        ways[joint] = max(ends, key=lambda end: float(end @ came)) if ends else came
-    level = np.abs(ways[:, 2:]) > 0.9  # feet and other bones that point to the front have Z up
+        directions[joint] = max(ends, key=lambda end: float(end @ came)) if ends else came
+    level = np.abs(directions[:, 2:]) > 0.9  # feet and other bones that point to the front have Z up
     fronts = np.where(level, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
-    fronts = fronts - (fronts * ways).sum(-1, keepdims=True) * ways
+    fronts = fronts - (fronts * directions).sum(-1, keepdims=True) * directions
     fronts /= np.linalg.norm(fronts, axis=-1, keepdims=True)
-    return matrix_to_quat(np.stack([np.cross(ways, fronts), ways, fronts], axis=-1))
+    return matrix_to_quat(np.stack([np.cross(directions, fronts), directions, fronts], axis=-1))
 
 
 def _ends_below(skeleton: Skeleton, joint: int, tiny: float) -> list[Array]:
@@ -133,15 +124,9 @@ def _ends_below(skeleton: Skeleton, joint: int, tiny: float) -> list[Array]:
 
 def skin_weights(surface: Surface) -> tuple[Array, Array]:
     """Up to four joints (V, 4) per point, all different, and their weights (V, 4); unused entries are joint 0."""
-    joints, weights = surface.joints.copy(), surface.weights.astype(np.float64)
-    for later in range(1, joints.shape[1]):
-        for earlier in range(later):
-            same = joints[:, later] == joints[:, earlier]
-            weights[same, earlier] += weights[same, later]
-            weights[same, later] = 0.0
-    weights = np.where(weights < 1e-4, 0.0, weights)
+    weights = np.where(surface.weights < 1e-4, 0.0, surface.weights)
     weights /= weights.sum(axis=1, keepdims=True)
-    return np.where(weights > 0.0, joints, 0).astype(np.uint16), weights.astype(np.float32)
+    return np.where(weights > 0.0, surface.joints, 0).astype(np.uint16), weights.astype(np.float32)
 
 
 def materials(surface: Surface) -> list[tuple[str, tuple[float, ...], Array]]:

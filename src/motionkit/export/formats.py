@@ -64,7 +64,7 @@ def read_motion(path: str | Path) -> Motion:
     """Read the motion of a file: in cm from a .glb or .vrm, else in its own unit.
 
     Raises:
-        MotionkitError: the ending is unknown or the file cannot be read; the message names the file.
+        MotionkitError: the file cannot be read; the message names the file.
     """
     return read_clip(path).motion
 
@@ -72,15 +72,10 @@ def read_motion(path: str | Path) -> Motion:
 def read_clip(path: str | Path, name: str | None = None) -> Clip:
     """Read a motion with its name and what else its format holds; raises like read_motion.
 
-    Args:
-        path: the file.
-        name: the animation of a .glb or .vrm; needed if it has several.
+    name is that of the animation of a .glb or .vrm; it is needed if there are several.
     """
-    from motionkit.rig.read_file import GLTF_ENDINGS, READERS, is_gltf
+    from motionkit.rig.read_file import is_gltf
 
-    if Path(path).suffix.lower() not in (*READERS, *GLTF_ENDINGS):
-        known = ", ".join((*READERS, *GLTF_ENDINGS))
-        raise MotionkitError(f"{path}: cannot be read: expected a name that ends in {known}")
     return _read_character(path, name) if is_gltf(path) else _read_joints(path)
 
 
@@ -109,7 +104,7 @@ def _read_joints(path: str | Path) -> Clip:
     from motionkit.rig.read_file import read_file
 
     bvh = read_file(path)
-    clip = Clip(bvh_to_motion(bvh), Path(path).stem, channels=bvh.channels)
+    clip = Clip(bvh_to_motion(bvh), Path(path).stem, channels=bvh.channels, hierarchy=bvh.hierarchy)
     return clip.with_motion(clip.motion)
 
 
@@ -120,4 +115,5 @@ def _read_character(path: str | Path, name: str | None) -> Clip:
     character = read_character(path)
     called, motion = motion_of(character, name)
     # The body of our own files is made anew, for any joints.
-    return Clip(motion.scaled(CM), called, character=None if character.tree.file.own() else character)
+    body = None if character.tree.file.by_motionkit() else character
+    return Clip(motion.scaled(CM), called, character=body, per_unit=CM)

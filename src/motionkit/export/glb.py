@@ -61,13 +61,13 @@ def _write_into(path: str | Path, clip: Clip, character: Character) -> None:
         kept = "" if joints else ", which keeps its own; --rest is for other formats"
         raise MotionkitError(f"{path}: not written: the motion has {other} than {file.path}{kept}")
     document = file.addition()
-    taken = (
+    used_names = (
         set()
         if clip.alone
         else {name for entry in file.items("animations") if isinstance(name := entry.get("name"), str)}
     )
     number, name = 2, clip.name
-    while name in taken:
+    while name in used_names:
         name, number = f"{clip.name}_{number}", number + 1
     tracks = character.tracks(clip.motion)
     add_tracks(document, replace(clip, name=name), tracks)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.opening import Shown, last_poses
+from motionkit.control.character_start import StartState, last_poses
 from motionkit.control.plan import plan_types
 from motionkit.control.planned_controls import plan_controls
 from motionkit.control.script import TypePart
@@ -59,7 +59,7 @@ def _listed(numbers: tuple[int, ...]) -> str:
 CONTROLS: dict[str, tuple[tuple[int, ...], str]] = {
     "trajectory": (
         (1, TRAJECTORY_COUNT),
-        f"wanted root after {_listed(TRAJECTORY_OFFSETS)} frames, in the facing frame: x, z of each in cm, then "
+        f"requested root after {_listed(TRAJECTORY_OFFSETS)} frames, in the facing frame: x, z of each in cm, then "
         "facing x, z of each",
     ),
     "trajectory_mask": ((1, 1), "1 to follow the trajectory, 0 to ignore it"),
@@ -279,30 +279,30 @@ class OnnxStep:
     network. The state has two buffers, which alternate between input and output.
     """
 
-    def __init__(self, graph: str | Path | bytes, threads: int = 1) -> None:
+    def __init__(self, graph: str | Path | bytes) -> None:
         """graph is a file, or its bytes."""
         import onnxruntime
 
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
+        options.intra_op_num_threads = 1
         options.log_severity_level = 3
         self.session = onnxruntime.InferenceSession(
             graph if isinstance(graph, bytes) else str(graph), options, ["CPUExecutionProvider"]
         )
-        given, made = (
+        inputs, made = (
             {value.name: np.zeros(value.shape, np.float32) for value in values}
             for values in (self.session.get_inputs(), self.session.get_outputs())
         )
-        state = [name for name in given if present_name(name) in made]
-        turned_in = given | {name: made[present_name(name)] for name in state}
-        turned_out = made | {present_name(name): given[name] for name in state}
-        self._turns = [(i, o, self._bound(i, o)) for i, o in ((given, made), (turned_in, turned_out))]
+        state = [name for name in inputs if present_name(name) in made]
+        turned_in = inputs | {name: made[present_name(name)] for name in state}
+        turned_out = made | {present_name(name): inputs[name] for name in state}
+        self._turns = [(i, o, self._bound(i, o)) for i, o in ((inputs, made), (turned_in, turned_out))]
 
-    def _bound(self, given: dict[str, np.ndarray], made: dict[str, np.ndarray]) -> Any:
+    def _bound(self, inputs: dict[str, np.ndarray], made: dict[str, np.ndarray]) -> Any:
         import onnxruntime
 
         binding = self.session.io_binding()
-        for arrays, bind in ((given, binding.bind_ortvalue_input), (made, binding.bind_ortvalue_output)):
+        for arrays, bind in ((inputs, binding.bind_ortvalue_input), (made, binding.bind_ortvalue_output)):
             for name, array in arrays.items():
                 bind(name, onnxruntime.OrtValue.ortvalue_from_numpy(array))
         return binding
@@ -335,7 +335,7 @@ def every_control(model: MotionModel, frames: int) -> list[Controls]:
     kinds = list(dict.fromkeys([first, *gaits[:1], *performances[:1], *free[:1]]))
     parts = [TypePart(kind, frames / len(kinds) / model.fps) for kind in kinds]
     near = last_poses(model, type_start(model, first).features[0])
-    played = plan_controls(model, plan_types(model, parts, Shown(near)))
+    played = plan_controls(model, plan_types(model, parts, StartState(near)))
     steps = np.array(TRAJECTORY_OFFSETS, np.float32) / model.fps
     out = []
     for frame in range(frames):
@@ -357,9 +357,9 @@ def every_control(model: MotionModel, frames: int) -> list[Controls]:
     return out
 
 
-def set_controls(graph: OnnxStep, asked: Controls, noise: Array) -> None:
+def set_controls(graph: OnnxStep, controls: Controls, noise: Array) -> None:
     """Set the controls of one character and noise (1, 276) as the graph's inputs."""
-    for name, values in vars(asked).items():
+    for name, values in vars(controls).items():
         if values is not None:
             graph.values[name][:] = values
     graph.values["noise"][:] = noise
@@ -396,9 +396,9 @@ def check_export(
     body.put(0, model.character(character).offsets, model.body_scale(character))
     poser = PoseKernel(model.config.layout, model.reference_rotations, body)
     apart, features = np.zeros(frames), np.zeros(frames)
-    for frame, asked in enumerate(script):
-        _, _, positions = poser.pose(*state.step(asked))
-        set_controls(graph, asked, state.drawing.drawn_noise)
+    for frame, controls in enumerate(script):
+        _, _, positions = poser.pose(*state.step(controls))
+        set_controls(graph, controls, state.drawing.drawn_noise)
         made = graph.step()
         apart[frame] = np.linalg.norm(made["positions"] - positions, axis=-1).max()
         features[frame] = np.abs(made["present_pose"] - state.frame.x).max()

@@ -58,11 +58,7 @@ def present_name(name: str) -> str:
 def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: Skeleton) -> str:
     """Write the nodes from controls and state to the next state, except ground and root-height correction.
 
-    Args:
-        skeleton: skeleton input of the network.
-
-    Returns:
-        The name of the unnormalised features (1, 276).
+    The network is given the skeleton. Returns the name of the unnormalised features (1, 276).
     """
     config, P, D = weights.config, len(weights.columns), weights.config.width
     hidden = config.head.contact_hidden
@@ -77,13 +73,13 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: 
     g.add("Concat", *(pieces[1:] if stay else []), "pose", "contacts", axis=1, out="present_frames")
     shallow = step.module(0, step.embed_frames(blocks[0][0]), blocks[0])
     # One product of the shallow features serves both the deep module and the contacts.
-    taken = g.add(
+    products = g.add(
         "Gemm",
         shallow,
         np.concatenate([_beside(weights.deep.embed), weights.contact_shallow], axis=1),
         np.concatenate([weights.deep.embed_bias.reshape(-1), np.zeros(hidden, np.float32)]),
     )
-    deep_input, feet = g.split(taken, [P * D, hidden], axis=1)
+    deep_input, feet = g.split(products, [P * D, hidden], axis=1)
     deep_input = g.add("Add", g.reshape(deep_input, P, D), blocks[1][0])
     deep = step.module(1, deep_input, blocks[1])
     mean = g.add("Gemm", deep, weights.head[:, :FEATURE_COUNT], weights.head_bias[:FEATURE_COUNT])
@@ -150,7 +146,7 @@ def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list
     bias = np.concatenate([m.controls_bias for m in modules]).reshape(-1).astype(np.float64)
     bias += skeleton_signal(skeleton).astype(np.float64) @ embed[layout.skeleton]
     trajectory = embed[layout.trajectory] / scaling.std.astype(np.float64)[:, None]
-    given = embed[layout.flag] - scaling.mean.astype(np.float64) @ trajectory
+    offset = embed[layout.flag] - scaling.mean.astype(np.float64) @ trajectory
     reference = embed[layout.reference]
     seen = g.add("MatMul", "pose", references.matrix / references.gains)
     differences = g.add("Mul", g.add("Sub", "reference", seen), "reference_gain")
@@ -160,7 +156,7 @@ def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list
     has_phase = g.add("Gemm", "phase", [[1e6]], [1.0])
     has_phase = g.add("Clip", has_phase, np.float32(0.0), np.float32(1.0))
     turns = g.add("Mul", g.add("Sin", turns), has_phase)
-    shown = g.add(
+    inputs = g.add(
         "Concat",
         "type_weights",
         g.add("Mul", "trajectory", "trajectory_mask"),
@@ -174,15 +170,15 @@ def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list
     rows = [
         embed[layout.type],
         trajectory,
-        given[None],
+        offset[None],
         embed[layout.phase],
         references.gains.astype(np.float64)[:, None] * reference,
         -(references.constant.astype(np.float64) @ reference)[None],
         embed[layout.reference_gain][None],
     ]
-    embedded = g.add("Gemm", shown, np.concatenate(rows).astype(np.float32), bias.astype(np.float32))
+    embedded = g.add("Gemm", inputs, np.concatenate(rows).astype(np.float32), bias.astype(np.float32))
     maps = np.concatenate([m.layer_controls for m in modules])
-    added = g.add("MatMul", step.own_columns(embedded, 2 * P, maps.shape[1]), _below(maps))
+    added = g.add("MatMul", step.block_diagonal(embedded, 2 * P, maps.shape[1]), _below(maps))
     D = weights.config.width
     count = maps.shape[2] // D
     return [
@@ -226,8 +222,8 @@ class _Step:
             taps = self.weights.shallow.embed[p].reshape(config.kernel, len(mine), -1)[:, used]
             bias = self.weights.shallow.embed_bias[p][None]
             maps.append(np.concatenate([taps.reshape(-1, taps.shape[-1]), bias]))
-        own = _own(len(places), [len(place) for place in places])
-        seen = g.add("Mul", g.gather(recent, np.concatenate(places), axis=1), own)
+        mask = _block_mask(len(places), [len(place) for place in places])
+        seen = g.add("Mul", g.gather(recent, np.concatenate(places), axis=1), mask)
         return g.add("Gemm", seen, np.concatenate(maps), controls)
 
     def module(self, index: int, x: str, controls: list[str]) -> str:
@@ -240,7 +236,7 @@ class _Step:
             qkv = g.add("Gemm", self._norm(x), _beside(weights.qkv[i]), weights.qkv_bias[i].reshape(-1))
             heads = g.gather(g.reshape(qkv, P * P, 3 * H, 1, D // H), np.arange(P) * (P + 1), axis=0)
             mixed = self._attend(layer, *g.split(heads, [H, H, H], axis=1))
-            x = self._add_product(x, self.own_columns(mixed, P, D), _below(weights.out[i]))
+            x = self._add_product(x, self.block_diagonal(mixed, P, D), _below(weights.out[i]))
             hidden = self._hidden(self._norm(x), _beside(weights.inner[i]), weights.inner_bias[i])
             x = self._add_product(x, hidden, _below(weights.outer[i]), *controls[i + 1 : i + 2])
         return g.reshape(self._norm(x), 1, P * D)
@@ -249,12 +245,12 @@ class _Step:
         """Write the hidden layer with bias, (P, F), as rows (P, P F) that are zero outside their own columns."""
         P, F = bias.shape
         # A bias far below zero acts as a mask, because ReLU follows.
-        biases = np.where(_own(P, F) > 0.0, bias.reshape(1, -1), np.float32(-1e9))
+        biases = np.where(_block_mask(P, F) > 0.0, bias.reshape(1, -1), np.float32(-1e9))
         return self.g.add("Relu", self.g.add("Gemm", x, weight, biases))
 
-    def own_columns(self, rows: str, count: int, width: int) -> str:
+    def block_diagonal(self, rows: str, count: int, width: int) -> str:
         """Reshape to rows (count, count width) that are zero outside their own columns."""
-        return self.g.add("Mul", self.g.reshape(rows, 1, count * width), _own(count, width))
+        return self.g.add("Mul", self.g.reshape(rows, 1, count * width), _block_mask(count, width))
 
     def _add_product(self, x: str, y: str, weight: Floats, *more: str) -> str:
         """Add the product of rows y with a matrix, and more, to x."""
@@ -290,6 +286,6 @@ def _below(maps: Floats) -> Floats:
     return maps.reshape(-1, maps.shape[-1])
 
 
-def _own(count: int, width: int | list[int]) -> Floats:
+def _block_mask(count: int, width: int | list[int]) -> Floats:
     """A mask (count, count width) with ones in each row's own columns; width may differ by row."""
     return np.repeat(np.eye(count, dtype=np.float32), width, axis=1)

@@ -10,15 +10,14 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.gait_limits import MOST_ASIDE, MOST_ASIDE_RUNNING
+from motionkit.control.path_place import path_words
 from motionkit.control.speeds import lateral_limit
-from motionkit.control.steering import GAIT_CHOICE, GOES_FROM, STANDS_BELOW, WALK_SPEED, SteeringOptions
+from motionkit.control.steering import STANDS_BELOW, Steering
 from motionkit.export.page_tracks import Track, type_tracks
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.features.reference import EMBEDDING_COUNT
@@ -28,10 +27,10 @@ from motionkit.inference.noise import Noise
 from motionkit.inference.step_weights import pack
 from motionkit.models.config import ModelConfig
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import RUN_SPEED, MotionKind
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.bvh import bvh_hierarchy
 
-FORMAT = "motionkit-page-3"
+FORMAT = "motionkit-page-4"
 COLUMNS = {"poses": EMBEDDING_COUNT, "ground": 3}
 STEP = 2.0**-10  # quantization step of poses (normalized), cm and radians
 
@@ -42,7 +41,7 @@ def page_model(model: MotionModel) -> bytes:
     Raises:
         ModelError: the C kernels cannot run the network.
     """
-    image = kernel_image(model, Noise())
+    image = kernel_image(model, Noise(), Steering(model), path_words(model))
     arrays: dict[str, dict[str, Any]] = {}
     body = bytearray()
     tracks = {name: type_tracks(model, name) for name in model.types}
@@ -50,7 +49,7 @@ def page_model(model: MotionModel) -> bytes:
     floats = {**_frame_arrays(model), "phases": np.concatenate([np.zeros(0), *(t.phases for t in every)])}
     stored: dict[str, tuple[str, bytes]] = {
         "shared": ("u1", _sorted_bytes(image.shared)),
-        "own": ("u1", _sorted_bytes(image.own)),
+        "own": ("u1", _sorted_bytes(image.character)),
         "poses": ("steps", _differences([track.poses for track in every], COLUMNS["poses"])),
         "ground": ("steps", _differences(_end_to_end([track.ground for track in every]), COLUMNS["ground"])),
         **{name: ("f4", _sorted_bytes(array.astype("<f4").tobytes())) for name, array in floats.items()},
@@ -106,23 +105,11 @@ def _header(model: MotionModel, image: KernelImage) -> dict[str, Any]:
             "reference": layout.reference.start,
             "gain": layout.reference_gain,
         },
-        "steering": _steering(),
+        "stands_below": STANDS_BELOW,
         "start": model_first_type(model),
         "slot": image.slot,
         "bvh": dict(zip(("hierarchy", "order"), bvh_hierarchy(model.character("default")), strict=True)),
     }
-
-
-def _steering() -> dict[str, float]:
-    """Settings of steering and of the choice of gaits, by their names in control.steering and control.gait_limits."""
-    bounds = {
-        "stands_below": STANDS_BELOW,
-        "goes_from": GOES_FROM,
-        "walk_speed": WALK_SPEED,
-        "run_speed": RUN_SPEED,
-    }
-    aside = {"most_aside": MOST_ASIDE, "most_aside_running": MOST_ASIDE_RUNNING}
-    return {**asdict(SteeringOptions()), **asdict(GAIT_CHOICE), **bounds, **aside}
 
 
 def _types(model: MotionModel, tracks: dict[str, list[Track]]) -> list[dict[str, Any]]:
@@ -143,13 +130,10 @@ def _types(model: MotionModel, tracks: dict[str, list[Track]]) -> list[dict[str,
         out.append(
             {
                 "name": name,
-                "gait": None
-                if gait is None
-                else {"speed": gait.speed, "facing": gait.facing, "runs": gait.runs},
+                "gait": None if gait is None else {"speed": gait.speed, "facing": gait.facing},
                 "seconds": model.phase_seconds(name),
                 "steered": kind.kind.steered,
                 "stands": kind.kind is MotionKind.STANCE,
-                "speeds": model.speed_range(name),
                 "lateral": round(lateral_limit(model, name), 1),
                 "performed": kind.kind is MotionKind.PERFORMANCE,
                 "gain": kind.preset.reference_gain if model.uses_references else 0.0,

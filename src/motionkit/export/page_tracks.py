@@ -34,7 +34,6 @@ class Track:
         poses: (L, 24) pose embeddings, each 5 frames ahead.
         phases: (L,) negative outside performances, strikes and jumps.
         ground: (L, 3) root x, z (cm) and heading (radians), starting at the origin.
-        bridge: number of frames at the end that blend back to the first.
         performance: frames to perform the type once, until shortly after the first strike or jump; 0 for lasting types.
         speed: cm/s, at the first frame if the type has phases, else the mean.
     """
@@ -42,7 +41,6 @@ class Track:
     poses: Array
     phases: Array
     ground: Array
-    bridge: int
     performance: int
     speed: float
 
@@ -73,9 +71,9 @@ def _track(model: MotionModel, name: str, choice: int) -> Track:
     )
     poses, phases, steps = [], [], []
     for _ in range(_frames(kind, model.fps, len(player.clip))):
-        asked = player.play(1)
-        poses.append(asked.reference[0, :EMBEDDING_COUNT])
-        phases.append(asked.phase[0])
+        controls = player.play(1)
+        poses.append(controls.reference[0, :EMBEDDING_COUNT])
+        phases.append(controls.phase[0])
         steps.append(_step(player.clip.ground, max(player.at - 1, 0)))
     length = len(poses)
     if kind.kind.phased and kind.kind is not MotionKind.PERFORMANCE:  # keep the last strike whole
@@ -90,7 +88,6 @@ def _track(model: MotionModel, name: str, choice: int) -> Track:
         np.concatenate([poses_there, poses_back]),
         np.concatenate([phases[:length], np.full(bridge, -1.0)]).astype(np.float32),
         ground,
-        bridge,
         performance,
         float(ground_speeds(ground, model.fps)[: 1 if kind.kind.phased else length].mean()),
     )

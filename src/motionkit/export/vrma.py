@@ -34,21 +34,16 @@ from motionkit.motion.skeleton import (
 )
 from motionkit.rig.canonical import canonical_motion
 from motionkit.rig.gltf import GltfDocument
+from motionkit.rig.gltf_nodes import VRM_BONES
 from motionkit.rig.standing_pose import standing_turns
 from motionkit.rig.upright import AS_BROUGHT, in_metres
 
 EXTENSION = "VRMC_vrm_animation"
 CM = 0.01
 # Canonical joint -> bone of a VRM humanoid. Neck1 has none: the neck bone ends at the head.
-BONES: dict[str, str] = {
-    "Hips": "hips", "LowerBack": "spine", "Spine": "chest", "Spine1": "upperChest", "Neck": "neck", "Head": "head",
-} | {
-    f"{side}{part}": f"{side.lower()}{bone}"
-    for side in ("Left", "Right")
-    for part, bone in (
-        ("UpLeg", "UpperLeg"), ("Leg", "LowerLeg"), ("Foot", "Foot"), ("ToeBase", "Toes"),
-        ("Shoulder", "Shoulder"), ("Arm", "UpperArm"), ("ForeArm", "LowerArm"), ("Hand", "Hand"),
-    )
+BONES: dict[str, str] = {ours: bone for bone, ours in VRM_BONES.items()} | {
+    "LowerBack": "spine", "Spine": "chest", "Spine1": "upperChest", "Neck": "neck",
+    "LeftShoulder": "leftShoulder", "RightShoulder": "rightShoulder",
 }  # fmt: skip
 
 
@@ -122,8 +117,7 @@ def humanoid_motion(motion: Motion) -> Motion:
 def hips_height(skeleton: Skeleton) -> float:
     """Height of the hips above the soles in the T-pose of a humanoid skeleton, in the skeleton's unit."""
     places = skeleton.rest_positions()
-    canonical = canonical_skeleton()
-    ankle = STANDING_HEIGHTS[0] * CM * leg_length(skeleton) / (leg_length(canonical) * CM)
+    ankle = STANDING_HEIGHTS[0] * leg_length(skeleton) / leg_length(canonical_skeleton())
     return float(ankle - places[skeleton.index("LeftFoot")][1])
 
 

@@ -65,9 +65,9 @@ class Controls:
         return Controls(type_weights, trajectory, zeros, -ones, reference, zeros, ones)
 
     @staticmethod
-    def concatenated(parts: Sequence[Controls], axis: int = 0) -> Controls:
-        """Concatenate controls along an axis, over frames or over characters."""
-        return _joined(parts, lambda arrays: np.concatenate(arrays, axis))
+    def concatenated(parts: Sequence[Controls]) -> Controls:
+        """Concatenate controls along their first dimension, over frames or over characters."""
+        return _joined(parts, np.concatenate)
 
     @staticmethod
     def side_by_side(characters: Sequence[Controls]) -> Controls:
@@ -198,19 +198,8 @@ def straight_trajectory(velocity: tuple[float, float], fps: float) -> Array:
     return np.concatenate([places.ravel(), directions])
 
 
-def trajectory_mirror() -> Array:
-    """Signs (24,) whose product with trajectory values mirrors them at the plane x = 0."""
-    return np.array([-1.0, 1.0] * (2 * len(TRAJECTORY_OFFSETS)), np.float32)
-
-
 def blend_types(type_ids: Array, count: int, blend: int = TYPE_BLEND_FRAMES) -> Array:
-    """Type weights (T, count) that change linearly over `blend` frames centred on each change of type.
-
-    Args:
-        type_ids: (T,) type of every frame.
-        count: number of types.
-        blend: frames that a change takes.
-    """
+    """Type weights (T, count) of types (T,) that change linearly over `blend` frames centred on each change of type."""
     weights = np.eye(count, dtype=np.float32)[type_ids]
     if blend < 2 or bool((type_ids == type_ids[0]).all()):
         return weights
@@ -255,7 +244,7 @@ def control_vector(
     if layout.kind == "paper":
         parts = [skeleton, controls.ahead.reshape(*shape, -1), trajectory]
     else:
-        reference = references.shown(controls.reference, x, alone) * gain
+        reference = references.network_input(controls.reference, x, alone) * gain
         parts = [skeleton, controls.type_weights, trajectory, mask, phase_signal(controls.phase)]
         parts += [reference, (gain > 0.0).astype(np.float32)]
     out = np.concatenate([np.broadcast_to(p, (*shape, p.shape[-1])) for p in parts], axis=-1)

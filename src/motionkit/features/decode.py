@@ -24,10 +24,7 @@ def decode_rotations(
 ) -> Array:
     """Local rotations (..., 23, 4) of unnormalised features (..., 276); the root's is relative to its heading.
 
-    Args:
-        features: (..., 276) unnormalised.
-        reference_rotations: (23, 4) as given to encode_motion; identity by default.
-        layout: version of the columns.
+    reference_rotations (23, 4) are those given to encode_motion, the identity by default.
     """
     reference_rotations = (
         identity_reference_rotations() if reference_rotations is None else reference_rotations
@@ -47,11 +44,7 @@ def root_height(features: Array, layout: str = DEFAULT_LAYOUT) -> Array:
 
 
 def joint_positions(features: Array, layout: str = DEFAULT_LAYOUT) -> Array:
-    """Joint positions (T, 23, 3) in cm in the heading frame; the root's x and z are zero.
-
-    Args:
-        features: (T, 276) unnormalised.
-    """
+    """Joint positions (T, 23, 3) in cm, in the heading frame, of unnormalised features (T, 276); root x, z are zero."""
     columns = feature_layout(layout)
     out = np.zeros((len(features), JOINT_COUNT, 3), features.dtype)
     for index in range(*columns.blocks["joint_positions"].indices(len(columns.columns))):

@@ -54,7 +54,6 @@ def encode_motion(
     motion: Motion,
     reference_rotations: Array | None = None,
     layout: str = DEFAULT_LAYOUT,
-    headings: Array | None = None,
 ) -> EncodedMotion:
     """Features, contacts and ground track of a motion on the canonical joints.
 
@@ -65,7 +64,6 @@ def encode_motion(
         motion: T >= 2 frames on the 23 canonical joints, cm.
         reference_rotations: (23, 4) that exponential maps are relative to; identity by default.
         layout: version of the columns.
-        headings: (T,) radians about Y, where they are known; else they follow from the body.
 
     Raises:
         SkeletonError: the joints are not the canonical ones, or there are fewer than two frames.
@@ -78,7 +76,7 @@ def encode_motion(
         raise SkeletonError(f"expected at least 2 frames for velocities, found {len(motion)}")
     references = identity_reference_rotations() if reference_rotations is None else reference_rotations
     _, positions = motion_kinematics(motion)
-    yaw = heading_angles(positions, motion.fps) if headings is None else headings
+    yaw = heading_angles(positions, motion.fps)
     to_heading = quat_from_yaw(-yaw)
     root_xz = positions[:, 0, [0, 2]]
     ground = np.concatenate([root_xz, yaw[:, None]], axis=-1)

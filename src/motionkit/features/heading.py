@@ -16,14 +16,10 @@ SMOOTHING_SECONDS = 0.08  # standard deviation of the Gaussian that smooths the 
 
 
 def heading_angles(global_positions: Array, fps: float) -> Array:
-    """Heading (T,) in radians, continuous over time; 0 faces +Z, pi/2 faces +X.
+    """Heading (T,) in radians of canonical joints (T, 23, 3), continuous over time; 0 faces +Z, pi/2 faces +X.
 
     In upright frames it follows from the mean of the axes across hips and shoulders. Between them, it takes the
     shortest arc from one upright frame to the next. The result is smoothed lightly.
-
-    Args:
-        global_positions: (T, 23, 3) positions of the canonical joints in the world.
-        fps: frames per second.
     """
     yaw, upright = _raw_heading(global_positions.astype(np.float64))
     yaw = _bridge(yaw, upright)

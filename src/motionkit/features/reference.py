@@ -55,12 +55,9 @@ class PoseEmbedding:
 
 
 def fit_pose_embedding(features: Array, weights: Array, layout: FeatureLayout) -> PoseEmbedding:
-    """Fit the principal components of the joint positions with the largest variance, each even or odd under mirroring.
+    """Fit the principal components of the joint positions of unnormalised features (N, 276) with weights (N,).
 
-    Args:
-        features: (N, 276) unnormalised.
-        weights: (N,) weight of each frame.
-        layout: columns of the features.
+    They have the largest variance, and each is even or odd under mirroring.
     """
     block = layout.blocks["joint_positions"]
     poses = features[:, block].astype(np.float64)
@@ -118,7 +115,7 @@ class ReferenceMap:
     matrix: Array
     constant: Array
 
-    def shown(self, reference: Array, x: Array, alone: bool = True) -> Array:
+    def network_input(self, reference: Array, x: Array, alone: bool = True) -> Array:
         """Reference poses (..., 72) relative to the present normalised frames x (..., 276).
 
         alone: multiply row by row, so that the last digits of a row do not depend on the others.

@@ -6,6 +6,7 @@ it, and the hips come down where the leg is too short. The C kernels lock the fe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,14 +36,14 @@ Span = tuple[int, int]  # first frame, and the frame after the last
 
 # Frames count at 60 fps, as in LOCK; _frames converts them to other rates.
 MIN_LOCK_FRAMES = 4  # shorter contacts are ignored
-LIFT_FRAMES = 2  # a toe that is too low reaches its height this many frames early, after a rise of as many
+LIFT_FRAMES = 3  # a toe that is too low reaches its height this many frames early, after a rise of as many
 # Longest step in frames, and the speed (cm per frame) below which a foot is at rest. A step ends with the foot at rest.
 LONGEST_STEP, STEP_REST = 32, 0.2
 FLOOR_FADE = 6.0  # cm above CONTACT_HEIGHTS over which a predicted contact fades out
 
 
 def lock_feet(motion: Motion, contacts: Array) -> Motion:
-    """Lock the feet of a motion during contacts, and keep its toes above the floor.
+    """Lock the feet of a motion during contacts.
 
     Args:
         motion: T frames on the canonical joints, in cm, the floor at height zero.
@@ -60,6 +61,36 @@ def lock_feet(motion: Motion, contacts: Array) -> Motion:
     left, steps = _toe_shifts(positions[:, TOES[0]], touching[:, :2], motion.fps, [])
     right, _ = _toe_shifts(positions[:, TOES[1]], touching[:, 2:], motion.fps, steps)
     shifts = np.stack([left, right], axis=1)
+    return _moved(motion, turns, positions, shifts)
+
+
+def clear_toes(motion: Motion, standing: Sequence[float] = (TOE.standing, TOE.standing)) -> Motion:
+    """Raise toes that move lower over the floor than recorded ones do, as after a correction of the root height.
+
+    Args:
+        motion: T frames on the canonical joints, in cm, the floor at height zero; a single frame stays as it is.
+        standing: heights in cm of the left and right toe joint when the foot stands.
+    """
+    if len(motion) < 2:
+        return motion
+    turns, positions = motion_kinematics(motion)
+    toes = positions[:, TOES].astype(np.float64)
+    shifts = np.zeros_like(positions[:, TOES])
+    for side in range(2):
+        heights = toes[:, side, 1] + (TOE.standing - standing[side])
+        shifts[:, side, 1] = _cleared(toes[:, side, ::2], heights, motion.fps)
+    return _moved(motion, turns, positions, shifts)
+
+
+def _cleared(place: Array, height: Array, fps: float) -> Array:
+    """Smooth rise (T,) in cm of a toe at places (T, 2) and heights (T,) to the least height of a free toe."""
+    strides = length(np.diff(place, axis=0, prepend=2.0 * place[:1] - place[1:2]))
+    missing = np.maximum(lowest_free(strides * (fps / RATE)) - height, 0.0)
+    return peak_smoothed(missing, missing[:, None], frames_at(LIFT_FRAMES, fps))[:, 0]
+
+
+def _moved(motion: Motion, turns: Array, positions: Array, shifts: Array) -> Motion:
+    """The motion with its toes shifted by (T, 2, 3), from its world rotations and positions."""
     backwards = knees_backwards(positions, quat_to_matrix(turns[:, HIPS]))
     moved = (length(shifts) > LOCK.least_change).any(axis=1) | backwards.any(axis=1)
     if not moved.any():
@@ -107,7 +138,7 @@ def contacts_around(contacts: Array, start: int, end: int, fps: float) -> Array:
 
 
 def _still_spans(
-    place: Array, spans: list[Span], fps: float, taken: list[Span]
+    place: Array, spans: list[Span], fps: float, other_steps: list[Span]
 ) -> tuple[list[Span], list[Span]]:
     """Split contact spans with a step wherever the foot, at places (T, 2), slides further than max_slide.
 
@@ -115,7 +146,7 @@ def _still_spans(
     it steps.
 
     Args:
-        taken: steps of the other foot; this one stands during them if it can.
+        other_steps: steps of the other foot; this one stands during them if it can.
 
     Returns:
         Spans in which the foot stands, and its steps.
@@ -128,7 +159,7 @@ def _still_spans(
         while (far := length(place[first:end] - place[first]) > LOCK.max_slide).any():
             slid = first + int(far.argmax())
             lifts = max(slid - step // 2, (first + slid) // 2)
-            waits = max((b for a, b in taken if a < slid + step and lifts < b), default=lifts)
+            waits = max((b for a, b in other_steps if a < slid + step and lifts < b), default=lifts)
             if waits < end and length(place[waits] - place[first]) < LOCK.max_wait * LOCK.max_slide:
                 lifts = max(lifts, waits)
             lands = max(slid, lifts + step // 2)
@@ -143,16 +174,16 @@ def _still_spans(
     return [(start, end) for start, end in out if end > start], steps
 
 
-def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> tuple[Array, list[Span]]:
+def _toe_shifts(toe: Array, contacts: Array, fps: float, other_steps: list[Span]) -> tuple[Array, list[Span]]:
     """Shifts (T, 3) that bring a toe (T, 3) to its locked place and height, and the steps of its foot.
 
     Args:
-        taken: steps of the other foot.
+        other_steps: steps of the other foot.
     """
     place, height = toe[:, [0, 2]].astype(np.float64), toe[:, 1:2].astype(np.float64)
-    ease, lift = frames_at(LOCK.ease_frames, fps), frames_at(LIFT_FRAMES, fps)
+    ease = frames_at(LOCK.ease_frames, fps)
     touching = locked_spans(contacts, fps)
-    spans, steps = _still_spans(place, touching, fps, taken)
+    spans, steps = _still_spans(place, touching, fps, other_steps)
     holds = [lower_median(place[start:end]) - place[start:end] for start, end in spans]
     over_ground = faded(holds, spans, (len(toe), 2), ease)
     # Contacts of the toe alone set its height: a heel may touch first.
@@ -160,9 +191,6 @@ def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> t
     standing = np.clip(height, TOE.standing - TOE.slack, TOE.standing + TOE.slack) - height
     upwards = faded([standing[start:end] for start, end in spans], spans, (len(toe), 1), ease)
     upwards += _raised_steps(place + over_ground, steps, frames_at(LOCK.step_frames, fps))
-    strides = length(np.diff(place, axis=0, prepend=2.0 * place[:1] - place[1:2]))[:, None]
-    missing = np.maximum(lowest_free(strides * (fps / RATE)) - height - upwards, 0.0)
-    upwards += peak_smoothed(missing[:, 0], missing, lift)
     return np.insert(over_ground, 1, upwards[:, 0], axis=1).astype(toe.dtype), steps
 
 
@@ -176,7 +204,7 @@ def _raised_steps(place: Array, steps: list[Span], whole: int) -> Array:
         far = float(length(place[min(end, len(place) - 1)] - place[start]))
         share = (np.arange(start, end) - start + 0.5) / (end - start)
         height = LOCK.step_height * min(far / LOCK.max_slide, 1.0) * min((end - start) / whole, 1.0)
-        out[start:end, 0] = height * np.sin(np.pi * share) ** 2
+        out[start:end, 0] = height * np.sin(np.pi * share)
     return out
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from motionkit.arrays import Array
-from motionkit.finish.feet import lock_feet
+from motionkit.finish.feet import clear_toes, lock_feet
 from motionkit.finish.hands import fingers_above
 from motionkit.finish.root_height import above_ground, in_the_air
-from motionkit.finish.root_way import held_way
+from motionkit.finish.root_path import corrected_path
+from motionkit.finish.soles import plant_soles
 from motionkit.motion.motion import Motion
+from motionkit.rig.soles import Sole
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,16 +19,18 @@ class Finish:
     """Settings of finishing for one motion.
 
     Attributes:
-        drawn: whether a network drew the motion, at 60 fps. Flights and glides of recorded clips stay as they are.
+        drawn: whether a network drew the motion, at 60 fps. Flights of recorded clips stay as they are.
         hold: share (T,), or one for all frames, of foot sliding to subtract from the root's path; 0 keeps the path.
         most: limit of the root's acceleration over the ground in m/s^2; None for no limit.
         size: scale of the shown body relative to the body of the motion.
+        soles: left and right sole of the body of the motion, to stand on; None to stand on its joints.
     """
 
     drawn: bool = True
     hold: Array | float = 0.0
     most: float | None = None
     size: float = 1.0
+    soles: tuple[Sole, Sole] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,24 +39,32 @@ class Unfinished:
 
     motion: Motion
     contacts: Array
-    told: Finish
+    settings: Finish
 
     def finished(self) -> Motion:
         """The finished motion."""
-        return finish(self.motion, self.contacts, self.told)
+        return finish(self.motion, self.contacts, self.settings)
 
 
-def finish(motion: Motion, contacts: Array, told: Finish) -> Motion:
+def finish(motion: Motion, contacts: Array, settings: Finish) -> Motion:
     """Return the finished motion: each correction runs once, in this order (docs/rollout.md measures each).
 
-    The body rises out of the ground before foot locking. Flights come last, because the legs decide where a flight
-    begins and ends. Wrists come last of all, because they move no other joint.
+    The body rises out of the ground before foot locking. Flights follow it, because the legs decide where a flight
+    begins and ends; then come soles. Toes are raised after both, because both may lower the body. Wrists come last,
+    because they move no other joint.
 
     Args:
         motion: T frames on the canonical joints, in cm, the ground at height zero.
         contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
-        told: the settings.
+        settings: the settings.
     """
-    motion = held_way(above_ground(motion), contacts, told.hold, told.most)
+    motion = corrected_path(above_ground(motion), contacts, settings.hold, settings.most)
     motion = lock_feet(motion, contacts)
-    return fingers_above(in_the_air(motion, told.size)) if told.drawn else motion
+    if settings.drawn:
+        motion = in_the_air(motion, settings.size)
+    if settings.soles is None:
+        motion = clear_toes(motion)
+    else:
+        motion = plant_soles(motion, settings.soles, contacts)
+        motion = clear_toes(motion, [sole.toe_height for sole in settings.soles])
+    return fingers_above(motion) if settings.drawn else motion

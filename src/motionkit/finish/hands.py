@@ -74,7 +74,7 @@ def _bends(along: Array, back: Array, height: Array) -> Array:
     angles = np.zeros(len(along))
     for start, end in spans(below):
         # The fingers are level where their angle is `slope` to one or the other side of straight up.
-        ways = [wrap_angle(to_back[start:end] + side * slope[start:end]) for side in (-1.0, 1.0)]
-        costs = [np.where(way >= 0.0, way, -BACK * way).sum() for way in ways]
-        angles[start:end] = ways[int(np.argmin(costs))]
+        turns = [wrap_angle(to_back[start:end] + side * slope[start:end]) for side in (-1.0, 1.0)]
+        costs = [np.where(turn >= 0.0, turn, -BACK * turn).sum() for turn in turns]
+        angles[start:end] = turns[int(np.argmin(costs))]
     return smoothed(np.clip(angles, -FURTHEST, FURTHEST)[:, None], SMOOTH_FRAMES)[:, 0]

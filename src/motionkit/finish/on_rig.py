@@ -8,7 +8,8 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.finish.finish import Finish, Unfinished, finish
-from motionkit.finish.soles import plant_soles
+from motionkit.finish.soles import sole_depth
+from motionkit.free_memory import check_memory
 from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.motion import Motion, resample
 from motionkit.rig.on_rig import canonical_places
@@ -36,8 +37,10 @@ def on_rig(
             height and speed.
 
     Raises:
+        MotionkitError: the motion on the rig does not fit into memory.
         SkeletonError: clip has other joints than the rig.
     """
+    check_memory(len(motion), max(len(rig.skeleton), len(motion.skeleton)), motion.fps)
     if not ik:
         body = on_body(motion, rig)
     else:
@@ -49,16 +52,26 @@ def on_rig(
     return resample(made, motion.fps)
 
 
+def rig_sole_depth(motion: Motion, rig: Rig) -> float | None:
+    """How far the soles of a rig's mesh are below the floor, in cm for canonical legs; None if its file has no soles.
+
+    Args:
+        motion: the motion on the rig (from on_rig) on the canonical joints again (from rig/on_rig.py).
+        rig: the rig.
+    """
+    soles = read_soles(rig)
+    return None if soles is None else sole_depth(on_body(motion, rig), soles)
+
+
 def _finished(body: Motion, rig: Rig, drawn: Unfinished) -> Motion:
     """Finish a motion on the body of a rig, with the feet at the standing height of the rig."""
-    contacts, told = drawn.contacts, replace(drawn.told, size=1.0)
+    contacts, settings = drawn.contacts, replace(drawn.settings, size=1.0, soles=read_soles(rig))
     usual = stance(drawn.motion, rig, contacts)
     if usual is None:  # nothing stands
-        return finish(body, contacts, told)
-    body = finish(_standing(body, rig, contacts, usual), contacts, told)
-    soles = read_soles(rig)
-    if soles is not None:
-        return plant_soles(body, soles, contacts)
+        return finish(body, contacts, settings)
+    body = finish(_standing(body, rig, contacts, usual), contacts, settings)
+    if settings.soles is not None:
+        return body
     return _standing(body, rig, contacts, standing_height(rig, usual))
 
 

@@ -1,6 +1,6 @@
-"""Corrects the root height of whole motions: no joint below the ground, free fall in flights, no gliding.
+"""Corrects the root height of whole motions: no joint below the ground, free fall in flights, no floating.
 
-A network predicts the mean of what may come. So some jumps float and others drop, and a body may glide above the ground
+A network predicts the mean of what may come. So some jumps float and others drop, and a body may float above the ground
 between two steps or two hands. Take-off and landing stay where they are. Live characters do not know the frames ahead;
 they have only the root-height correction (inference/height_correction.py).
 """
@@ -31,20 +31,20 @@ class HeightSettings:
     Attributes:
         rise_frames: frames by which the body rises before a hand would go below the ground.
         flight_error: (least, most) error of the fall in m/s^2 that is corrected. Short flights of runs have less; a
-            body on its hands or a gliding one has more.
+            body on its hands or a floating one has more.
         take_off: cm/s by which a fall may begin faster upwards than the body does; a slower body has not taken off yet.
         ease_frames: frames over which a correction comes and goes.
-        glide_height: cm above the ground up to which a body glides; a higher one flies.
-        stands: cm by which standing feet are below the touch heights.
-        smooth_frames: frames to both sides over which the descent of a glide is averaged.
+        floating_height: cm above the ground up to which a body floats; a higher one flies.
+        standing_depth: cm by which standing feet are below the touch heights.
+        smooth_frames: frames to both sides over which the descent of a floating body is averaged.
     """
 
     rise_frames: int = 10
     flight_error: tuple[float, float] = (0.75, 4.5)
     take_off: float = 250.0
     ease_frames: int = 5
-    glide_height: float = 6.0
-    stands: float = 2.0
+    floating_height: float = 6.0
+    standing_depth: float = 2.0
     smooth_frames: int = 2
 
 
@@ -64,7 +64,7 @@ def above_ground(motion: Motion) -> Motion:
 
 
 def in_the_air(motion: Motion, size: float = 1.0) -> Motion:
-    """Make flights of at least 0.2 s fall freely, and bring a gliding body down to the ground.
+    """Make flights of at least 0.2 s fall freely, and bring a floating body down to the ground.
 
     A motion of fewer than FIT_FRAMES frames stays as it is.
 
@@ -76,7 +76,7 @@ def in_the_air(motion: Motion, size: float = 1.0) -> Motion:
     if len(motion) < FIT_FRAMES:
         return motion
     positions = motion_kinematics(motion)[1]
-    drop = _glide(positions)
+    drop = _floating(positions)
     positions[..., 1] -= drop[:, None]
     return _raised(motion, _free_fall(positions, motion.fps, size) - drop)
 
@@ -89,16 +89,16 @@ def _raised(motion: Motion, lift: Array) -> Motion:
     return replace(motion, root_positions=roots)
 
 
-def _glide(positions: Array) -> Array:
-    """Descent (T,) in cm of a body that glides a little above the ground without falling.
+def _floating(positions: Array) -> Array:
+    """Descent (T,) in cm of a body that floats a little above the ground without falling.
 
-    The height of its lowest joint is interpolated between the frames before and after the glide.
+    The height of its lowest joint is interpolated between the frames before and after.
     """
     above = (positions[..., 1] - TOUCH_HEIGHTS).min(axis=-1)
-    held_up = vertical_acceleration(centre_of_mass(positions)[:, 1]) > FALLING
+    supported = vertical_acceleration(centre_of_mass(positions)[:, 1]) > FALLING
     drop = np.zeros(len(positions))
     for start, end in spans(above >= 0.0):
-        if above[start:end].max() < HEIGHT.glide_height and held_up[start:end].mean() > 0.5:
+        if above[start:end].max() < HEIGHT.floating_height and supported[start:end].mean() > 0.5:
             first = max(start - HEIGHT.ease_frames, 0)
             last = min(end + HEIGHT.ease_frames, len(positions)) - 1
             drop[first : last + 1] = np.maximum(drop[first : last + 1], _excess(above, first, last))
@@ -108,7 +108,7 @@ def _glide(positions: Array) -> Array:
 def _excess(above: Array, first: int, last: int) -> Array:
     """Heights above the line between two frames, for the frames from first to last; eased at both ends."""
     frames = np.arange(first, last + 1)
-    line = np.clip(np.interp(frames, [first, last], above[[first, last]]), -HEIGHT.stands, 0.0)
+    line = np.clip(np.interp(frames, [first, last], above[[first, last]]), -HEIGHT.standing_depth, 0.0)
     to_end = np.minimum(frames - first, last - frames) + 1
     return smoothstep(np.minimum(to_end / HEIGHT.ease_frames, 1.0)) * np.maximum(
         above[first : last + 1] - line, 0.0
@@ -117,11 +117,11 @@ def _excess(above: Array, first: int, last: int) -> Array:
 
 def _free_fall(positions: Array, fps: float, size: float) -> Array:
     """Rise (T,) of the root in cm that makes the centre of mass fall freely in flights of at least 0.2 s."""
-    shown = positions * size
-    heights = centre_of_mass(shown)[:, 1]
+    scaled = positions * size
+    heights = centre_of_mass(scaled)[:, 1]
     lift = np.zeros(len(positions))
     least, most = HEIGHT.flight_error
-    for flight in flights(shown, ~touching(positions)):
+    for flight in flights(scaled, ~touching(positions)):
         before, after = flight.start - 1, flight.end
         if before < 0 or after >= len(positions) or not least < abs(flight.error) <= most:
             continue
@@ -134,7 +134,7 @@ def _free_fall(positions: Array, fps: float, size: float) -> Array:
         frames = np.arange(before, after + 1)
         since, left = frames - before, after - frames
         straight = np.interp(frames, [before, after], heights[[before, after]])
-        wanted = straight - 0.5 * 100.0 * FREE_FALL * since * left / fps**2
+        target = straight - 0.5 * 100.0 * FREE_FALL * since * left / fps**2
         ease = smoothstep(np.minimum(np.minimum(since, left) / HEIGHT.ease_frames, 1.0))
-        lift[frames] += ease * (wanted - heights[frames]) / size
+        lift[frames] += ease * (target - heights[frames]) / size
     return lift

@@ -80,8 +80,10 @@ class CharacterStream:
         self.state.start(features, contacts, weights, None, model.phase_seconds(kind) * model.fps)
 
     def _take_body(self, index: int, character: str) -> None:
-        self.body.put(index, self.model.character(character).offsets, self.model.body_scale(character))
-        self.state.controls.skeletons[index] = skeleton_signal(self.model.moved_skeleton(character))
+        model = self.model
+        offsets, scale = model.character(character).offsets, model.body_scale(character)
+        self.body.put(index, offsets, scale, model.soles.get(character))
+        self.state.controls.skeletons[index] = skeleton_signal(model.moved_skeleton(character))
 
     def reset(
         self,

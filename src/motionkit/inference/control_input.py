@@ -47,17 +47,17 @@ class ControlInput:
         """Set the skeleton control signal of each character."""
         self.skeletons = np.stack([skeleton_signal(s) for s in skeletons])
 
-    def take(self, asked: Controls, x: Floats) -> Floats:
+    def take(self, controls: Controls, x: Floats) -> Floats:
         """Return the control vectors (B, C) at normalised frames x (B, 276), and set the presets of the types."""
         model, presets = self.model, self.presets
         if model.plain:
-            asked = self._with_own_trajectory(asked)
-        shares = row_products(asked.type_weights, self.type_presets)
+            controls = self._with_predicted_trajectory(controls)
+        shares = row_products(controls.type_weights, self.type_presets)
         presets.log_noise_scale[:] = np.log(np.maximum(shares[:, :1], 1e-6))
         presets.velocity_blend[:], presets.slip_correction[:] = shares[:, 1:2], shares[:, 2:]
-        presets.slip_correction[:, 0] *= asked.slip_correction
+        presets.slip_correction[:, 0] *= controls.slip_correction
         self.vectors[:] = control_vector(
-            self._layout, self.skeletons, asked, x, model.trajectory_scaling, self._references
+            self._layout, self.skeletons, controls, x, model.trajectory_scaling, self._references
         )
         return self.vectors
 
@@ -73,7 +73,9 @@ class ControlInput:
         frames = np.arange(features.shape[1])
         return np.stack([future_trajectory(each.astype(np.float32), frames) for each in ground])
 
-    def _with_own_trajectory(self, asked: Controls) -> Controls:
+    def _with_predicted_trajectory(self, controls: Controls) -> Controls:
         """Fill in the predicted trajectory where the controls give none."""
-        given = asked.trajectory_mask[:, None] > 0.0
-        return replace(asked, trajectory=np.where(given, asked.trajectory, self.trajectory)).with_mask(1.0)
+        requested = controls.trajectory_mask[:, None] > 0.0
+        return replace(
+            controls, trajectory=np.where(requested, controls.trajectory, self.trajectory)
+        ).with_mask(1.0)

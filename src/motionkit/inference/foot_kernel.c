@@ -53,7 +53,7 @@ static Vec3 toe_shift(const Feet *f, int64_t foot, Vec3 toe, const float *contac
         before[i] = place[i];
     }
     const float wave = sinf(3.14159265f * rest);
-    return (Vec3){shift[0], lifted(f, foot, toe.y, step, contacts[1], scale) + *stepping * wave * wave, shift[1]};
+    return (Vec3){shift[0], lifted(f, foot, toe.y, step, contacts[1], scale) + *stepping * wave, shift[1]};
 }
 
 /* Moves the root over the ground, so that feet in contact stay where they are: root_slip in motion/leg_ik.py. */
@@ -166,6 +166,23 @@ static void move_foot(const Feet *f, int side, const Leg *leg, const Mat3 *world
     positions[f->toe[side]] = plus(positions[ankle], turned(leg->pitch, foot));
 }
 
+/* Moves both ankles by their shifts, with the hips lower by `drop`, which is at least `need` and fades. */
+static void move_feet(const Feet *f, Leg *legs, float *drop, float need, const Mat3 *world, Quat *rotations, Vec3 *positions) {
+    *drop = larger(need, f->hip_return * *drop);
+    for (int64_t j = 0; j < JOINTS; j++) positions[j].y -= *drop;
+    for (int side = 0; side < 2; side++) {
+        Leg *leg = legs + side;
+        leg->hip.y -= *drop, leg->knee.y -= *drop, leg->ankle.y -= *drop, leg->toe.y -= *drop;
+        leg->shift.y += *drop;
+        move_foot(f, side, leg, world, rotations, positions);
+    }
+}
+
+static Leg leg_of(const Feet *f, int side, const Vec3 *positions) {
+    return (Leg){positions[f->hip[side]], positions[f->knee[side]], positions[f->ankle[side]], positions[f->toe[side]],
+                 {0, 0, 0}, {1, 0, 0, 0}};
+}
+
 void lock_feet(const Feet *f, int64_t row, const float *contacts, float scale, const Mat3 *world, Quat *rotations,
                Vec3 *positions) {
     const int known = f->moving[row];
@@ -175,8 +192,7 @@ void lock_feet(const Feet *f, int64_t row, const float *contacts, float scale, c
     int still = *drop <= f->least_change;
     for (int side = 0; side < 2; side++) {
         Leg *leg = legs + side;
-        *leg = (Leg){positions[f->hip[side]], positions[f->knee[side]], positions[f->ankle[side]], positions[f->toe[side]],
-                     {0, 0, 0}, {1, 0, 0, 0}};
+        *leg = leg_of(f, side, positions);
         const Vec3 shift = toe_shift(f, 2 * row + side, leg->toe, contacts + 2 * side, scale, known);
         if (shift.x != 0.0f || shift.y != 0.0f || shift.z != 0.0f || bent_backwards(f, leg, &world[f->hip[side]])) still = 0;
         const Vec3 foot = minus(leg->toe, leg->ankle);
@@ -184,16 +200,90 @@ void lock_feet(const Feet *f, int64_t row, const float *contacts, float scale, c
         leg->shift = minus(plus(shift, foot), turned(leg->pitch, foot));
         need = larger(need, needed_drop(f, leg, scale));
     }
-    if (still) {
+    if (still)
         *drop = 0.0f;
-        return;
+    else
+        move_feet(f, legs, drop, need, world, rotations, positions);
+}
+
+/* How toes bend upwards: about an axis, until they are level at `most`. */
+typedef struct {
+    Vec3 axis;
+    float most;
+} Hinge;
+
+static Hinge hinge_of(const Mat3 *toe, Vec3 ahead) {
+    const Vec3 axis = matrix_vector(toe, cross(ahead, (Vec3){0, 1, 0})), way = matrix_vector(toe, ahead);
+    return (Hinge){axis, larger(-atan2f(way.y, cross(axis, way).y), 0.0f)};
+}
+
+/* The height of the lowest points of a part over their joint, turned by a matrix and then by a rotation. */
+static float lowest(const Soles *s, int64_t part, const Mat3 *world, Quat bend) {
+    float least = INFINITY;
+    for (int64_t n = 0; n < s->counts[part]; n++) {
+        const Vec3 point = matrix_vector(world, ((const Vec3 *)s->points)[part * s->most + n]);
+        least = smaller(least, turned(bend, point).y);
     }
-    *drop = larger(need, f->hip_return * *drop);
-    for (int64_t j = 0; j < JOINTS; j++) positions[j].y -= *drop;
+    return least;
+}
+
+/* The height of a sole's joint at which the foot stands; toes bend where they are below the rest of it. */
+static float standing_sole(const Soles *s, int64_t part, const Mat3 *foot, const Mat3 *toe, Vec3 ahead) {
+    const Quat none = {1, 0, 0, 0};
+    const float deep = -lowest(s, part, foot, none);
+    if (!s->counts[part + 1]) return deep;
+    const Hinge hinge = hinge_of(toe, ahead);
+    const float level = lowest(s, part + 1, toe, about(hinge.axis, hinge.most));
+    return larger(deep, -larger(lowest(s, part + 1, toe, none), level));
+}
+
+/* By how much toes have to bend for none of their tips to be below a height over their joint. */
+static float needed_bend(const Soles *s, int64_t part, const Mat3 *toe, Vec3 ahead, Vec3 axis, float floor) {
+    const Vec3 *points = (const Vec3 *)s->points + part * s->most;
+    float furthest = 0.0f, bend = 0.0f;
+    for (int64_t n = 0; n < s->counts[part]; n++) furthest = larger(furthest, dot(points[n], ahead));
+    for (int64_t n = 0; n < s->counts[part]; n++) {
+        if (dot(points[n], ahead) <= s->tip * furthest) continue;
+        /* Bent by an angle, a point is still + size sin(angle + now) above the joint. */
+        const Vec3 point = matrix_vector(toe, points[n]);
+        const float still = dot(point, axis) * axis.y, up = point.y - still, before = cross(axis, point).y;
+        const float size = larger(sqrtf(up * up + before * before), 1e-6f);
+        if (point.y < floor) bend = larger(bend, asinf(clip((floor - still) / size, -1.0f, 1.0f)) - atan2f(up, before));
+    }
+    return bend;
+}
+
+static Vec3 ahead_of(Vec3 toe) {
+    toe.y = 0.0f;
+    return times(1.0f / larger(length(toe), 1e-12f), toe);
+}
+
+void plant_soles(const Soles *s, const Feet *f, int64_t row, const Vec3 *offsets, const Mat3 *world, Quat *rotations,
+                 Vec3 *positions) {
+    const int toes = s->counts[4 * row + 1] && s->counts[4 * row + 3];
+    Leg legs[2];
+    float need = 0.0f;
     for (int side = 0; side < 2; side++) {
-        Leg *leg = legs + side;
-        leg->hip.y -= *drop, leg->knee.y -= *drop, leg->ankle.y -= *drop, leg->toe.y -= *drop;
-        leg->shift.y += *drop;
-        move_foot(f, side, leg, world, rotations, positions);
+        const int64_t foot = 2 * row + side, ankle = f->ankle[side], toe = f->toe[side];
+        const Vec3 ahead = ahead_of(offsets[toe]);
+        const float height = s->floor[row] + standing_sole(s, 2 * foot, &world[ankle], &world[toe], ahead);
+        const float missing = height - positions[toes ? toe : ankle].y;
+        const float near = clip(1.0f - (-missing - s->near) / s->fade, 0.0f, 1.0f);
+        float *rise = s->rise + foot;
+        *rise = larger(*rise + s->pace * (f->stands[foot] * near * missing - *rise), missing);
+        legs[side] = leg_of(f, side, positions);
+        legs[side].shift.y = *rise;
+        need = larger(need, needed_drop(f, &legs[side], 1.0f));
+    }
+    move_feet(f, legs, s->drop + row, need, world, rotations, positions);
+    for (int side = 0; side < 2; side++) {
+        const int64_t foot = 2 * row + side, ankle = f->ankle[side], toe = f->toe[side];
+        if (!toes) continue;
+        const Hinge hinge = hinge_of(&world[toe], ahead_of(offsets[toe]));
+        const float floor = s->floor[row] - positions[toe].y;
+        const float needed = needed_bend(s, 2 * foot + 1, &world[toe], ahead_of(offsets[toe]), hinge.axis, floor);
+        s->bend[foot] = smaller(larger(needed, (1.0f - s->pace) * s->bend[foot]), hinge.most);
+        const Quat bend = inside(&world[ankle], about(hinge.axis, s->bend[foot]));
+        rotations[toe] = quat_product(bend, rotations[toe]);
     }
 }

@@ -8,11 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motionkit.arrays import Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.foot_lock import FootLock
 from motionkit.motion.skeleton import JOINT_COUNT
+from motionkit.rig.soles import MOST_POINTS, LiveSoles
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,46 @@ class PresetArrays:
 
 
 @dataclass(frozen=True, eq=False)
+class SoleArrays:
+    """Soles of N characters; parts are left foot, left toes, right foot, right toes.
+
+    Attributes:
+        points: (N, 4, MOST_POINTS, 3) in cm, as in rig/soles.py.
+        counts: (N, 4) points of each part; a character without a mesh has none.
+        floor: (N,) height of the floor in cm.
+        rise: (N, 2) shift of the ankles upwards.
+        bend: (N, 2) turn of the toes upwards, in radians.
+        drop: (N,) shift of the hips downwards.
+    """
+
+    points: Floats
+    counts: NDArray[np.int64]
+    floor: Floats
+    rise: Floats
+    bend: Floats
+    drop: Floats
+
+    @classmethod
+    def of(cls, count: int) -> SoleArrays:
+        """Characters without soles."""
+        shapes = ((count,), (count, 2), (count, 2), (count,))
+        points, counts = np.zeros((count, 4, MOST_POINTS, 3), np.float32), np.zeros((count, 4), np.int64)
+        return cls(points, counts, *(np.zeros(shape, np.float32) for shape in shapes))
+
+    def put(self, index: int, soles: LiveSoles | None) -> None:
+        """Give one character other soles, or none, and forget its past."""
+        for array in vars(self).values():
+            array[index] = 0
+        if soles is None:
+            return
+        self.floor[index] = soles.floor
+        parts = (soles.left.foot, soles.left.toe, soles.right.foot, soles.right.toe)
+        for part, points in enumerate(parts):
+            self.points[index, part, : len(points)] = points
+            self.counts[index, part] = len(points)
+
+
+@dataclass(frozen=True, eq=False)
 class BodyArrays:
     """The bodies of N characters.
 
@@ -72,12 +114,14 @@ class BodyArrays:
         offsets: (N, 23, 3) bones in cm.
         scale: (N,) size relative to the canonical body.
         rise: (N,) rise of the root (height_correction.py), in cm of the canonical body.
-        feet: foot-lock state; None for no foot locking.
+        soles: of characters with a mesh.
+        feet: foot-lock state; None for no foot locking, and soles that nothing plants.
     """
 
     offsets: Floats
     scale: Floats
     rise: Floats
+    soles: SoleArrays
     feet: FootLock | None
 
     @classmethod
@@ -85,10 +129,11 @@ class BodyArrays:
         """Bodies of scale 1 whose offsets are still zero."""
         offsets = np.zeros((count, JOINT_COUNT, 3), np.float32)
         rise, locks = np.zeros(count, np.float32), FootLock(count) if feet else None
-        return cls(offsets, np.ones(count, np.float32), rise, locks)
+        return cls(offsets, np.ones(count, np.float32), rise, SoleArrays.of(count), locks)
 
-    def put(self, index: int, offsets: Floats, scale: float) -> None:
+    def put(self, index: int, offsets: Floats, scale: float, soles: LiveSoles | None = None) -> None:
         """Give one character another body with offsets (23, 3), and forget its past."""
         self.offsets[index], self.scale[index], self.rise[index] = offsets, scale, 0.0
+        self.soles.put(index, soles)
         if self.feet is not None:
             self.feet.reset(index)

@@ -48,6 +48,19 @@ typedef struct {
     float *drop;                               /* (B,) */
 } Feet;
 
+/* The soles of characters' meshes, and the numbers of finish/soles.py. Parts are left foot, left toes, right foot, right
+   toes. */
+typedef struct {
+    int64_t most;                        /* points of a part */
+    float near, fade, tip, pace;
+    const float *points;                 /* (B, 4, most, 3) relative to the toe, or to the ankle if toes have none */
+    const int64_t *counts;               /* (B, 4) points of each part; a foot without any is none */
+    const float *floor;                  /* (B,) height of the floor */
+    float *rise;                         /* (B, 2) of the ankle */
+    float *bend;                         /* (B, 2) of the toes */
+    float *drop;                         /* (B,) of the hips */
+} Soles;
+
 /* How far all characters are raised, and the numbers of height_correction.py. */
 typedef struct {
     int64_t joints[4], columns[4]; /* of the foot joints, and of their heights */
@@ -66,8 +79,13 @@ typedef struct {
     const float *frame, *contacts, *ground;     /* (B, features), (B, 4), (B, 3) */
     float *rotations, *root_places, *positions; /* (B, 23, 4), (B, 3), (B, 23, 3) */
     const Feet *feet;                           /* NULL: not locked */
+    const Soles *soles;
 } Pose;
 
 /* Locks the feet of character row, whose world rotations are given; changes rotations and positions. */
 void lock_feet(const Feet *feet, int64_t row, const float *contacts, float scale, const Mat3 *world, Quat *rotations,
                Vec3 *positions);
+
+/* Puts the soles of character row on the floor, after lock_feet; world rotations are those of its rotations. */
+void plant_soles(const Soles *soles, const Feet *feet, int64_t row, const Vec3 *offsets, const Mat3 *world, Quat *rotations,
+                 Vec3 *positions);

@@ -17,16 +17,19 @@ from numpy.typing import NDArray
 
 from motionkit.arrays import Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
+from motionkit.finish.feet import FLOOR_FADE
+from motionkit.finish.soles import NEAR, TIP
 from motionkit.inference import height_correction, slip_correction
 from motionkit.inference.foot_lock import FootLock
-from motionkit.inference.frame_arrays import BodyArrays, FrameArrays, PresetArrays
+from motionkit.inference.frame_arrays import BodyArrays, FrameArrays, PresetArrays, SoleArrays
 from motionkit.inference.noise import Noise, NoiseState
 from motionkit.motion import leg_ik
 from motionkit.motion.rotations import quat_multiply
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, PARENTS, STANDING_HEIGHTS
 from motionkit.native import load_library
+from motionkit.rig.soles import MOST_POINTS
 
-VERSION = 14  # of frame_kernel.c
+VERSION = 15  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -68,6 +71,14 @@ class _Feet(Structure):
     )
 
 
+class _Soles(Structure):
+    _fields_ = (
+        ("most", c_int64),
+        *((n, c_float) for n in "near fade tip pace".split()),
+        *((n, c_void_p) for n in "points counts floor rise bend drop".split()),
+    )
+
+
 class _HeightCorrection(Structure):
     _fields_ = (
         *((n, c_int64 * 4) for n in ("joints", "columns")),
@@ -85,6 +96,7 @@ class _Pose(Structure):
         *((n, c_void_p) for n in "references offsets scale frame contacts ground".split()),
         *((n, c_void_p) for n in "rotations root_places positions".split()),
         ("feet", POINTER(_Feet)),
+        ("soles", POINTER(_Soles)),
     )
 
 
@@ -229,7 +241,7 @@ class PoseKernel:
             FEATURE_COUNT, blocks["root_rotation"].start, blocks["joint_rotations"].start, columns.root_height,
             columns.root_is_sixd, (c_int64 * JOINT_COUNT)(*PARENTS),
             _height_correction(self.layout, body.rise), *(_address(array) for array in arrays),
-            None if body.feet is None else pointer(_feet(body.feet)),
+            None if body.feet is None else pointer(_feet(body.feet)), pointer(_soles(body.soles)),
         )  # fmt: skip
 
 
@@ -240,10 +252,10 @@ def rises(layout: str, features: Floats, heights: Floats) -> Floats:
         features: (T, 276) unnormalised.
         heights: (T, 23) joint heights by forward kinematics before the correction, in cm of the canonical body.
     """
-    given = [np.ascontiguousarray(array, np.float32) for array in (features, heights)]
+    inputs = [np.ascontiguousarray(array, np.float32) for array in (features, heights)]
     out, state = np.zeros(len(features), np.float32), np.zeros(1, np.float32)
     words = _height_correction(layout, state)
-    frame_library().rises(byref(words), len(out), FEATURE_COUNT, *map(_address, (*given, out)))
+    frame_library().rises(byref(words), len(out), FEATURE_COUNT, *map(_address, (*inputs, out)))
     return out
 
 
@@ -261,6 +273,10 @@ def _feet(feet: FootLock) -> _Feet:
     state, joints = feet.arrays, leg_ik.LEG_JOINTS.tolist()
     places = [_address(state[name]) for name in _FEET_STATE]
     return _Feet(*((c_int64 * 2)(*pair) for pair in joints), *numbers, *places)
+
+
+def _soles(soles: SoleArrays) -> _Soles:
+    return _Soles(MOST_POINTS, NEAR, FLOOR_FADE, TIP, leg_ik.SOLE_PACE, *map(_address, vars(soles).values()))
 
 
 def _call(function: Callable, words: Structure, rows: int, kept: object) -> Callable[[], None]:

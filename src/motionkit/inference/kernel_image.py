@@ -12,7 +12,7 @@ from ctypes import Array as CArray
 from ctypes import Structure, c_uint32, c_void_p
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
@@ -23,6 +23,7 @@ from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import LINE, StepProgram
 from motionkit.inference.step_weights import pack
 from motionkit.models.model import MotionModel
+from motionkit.rig.soles import MOST_POINTS
 
 # Where the shared part begins; below it are the stack and the constants of the compiled module.
 BASE = 1 << 20
@@ -52,23 +53,35 @@ class KernelImage:
 
     Attributes:
         shared: constants of all characters, at BASE.
-        own: state of one character after the frames of a start pose; its addresses count from 0.
+        character: state of one character after the frames of a start pose; its addresses count from 0.
         moved: offsets in own of the pointers into own.
         addresses: address of the program, and offsets in own of the structs and arrays that a page reads and writes.
-        fields: offsets in their structs of the numbers that a page writes, and position_bytes of one ring slot.
+        fields: offsets in their structs of the numbers that a page reads or writes, position_bytes of one ring slot,
+            and how many sole_points a part of a sole has room for; of a path's struct all, and its size.
         slot: ring slot of the last frame of the start pose.
     """
 
     shared: bytes
-    own: bytes
+    character: bytes
     moved: tuple[int, ...]
     addresses: dict[str, int]
-    fields: dict[str, int]
+    fields: dict[str, Any]
     slot: int
 
 
-def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
+class Steered(Protocol):
+    """A character's struct of steering, and what it points to: the types of the model, and an array of its own."""
+
+    words: Any
+    types: Any
+    shares: NDArray[Any]
+
+
+def kernel_image(model: MotionModel, noise: Noise, steering: Steered, path: Structure) -> KernelImage:
     """Return the memory for characters with the default body and weights in 16 bits.
+
+    Args:
+        path: the struct of a character on a path, without its arrays.
 
     Raises:
         ModelError: for a network that the kernels cannot run.
@@ -82,7 +95,7 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
     pose = poser.words(frame.features, frame.contacts, frame.ground)
     arrays, presets = network.arrays, drawn.presets
     step = program.frame_words(arrays)
-    own: dict[str, NDArray[Any]] = {
+    state: dict[str, NDArray[Any]] = {
         "recent": arrays.recent, "keys": arrays.keys, "values": arrays.values, "filled": arrays.filled,
         "controls": arrays.controls, "out": arrays.out, "logits": arrays.contacts_out,
         "fresh": drawn.noise.fresh, "noise": drawn.noise.first, "smooth": drawn.noise.second,
@@ -91,40 +104,41 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
         "features": frame.features, "ground": frame.ground,
         **dict(zip(("rotations", "root", "positions"), poser.posed, strict=True)),
     }  # fmt: skip
-    own |= {f"feet_{name}": array for name, array in body.feet.arrays.items()} | {"rise": body.rise}
-    own["offsets"] = body.offsets
+    state |= {f"feet_{name}": array for name, array in body.feet.arrays.items()} | {"rise": body.rise}
+    state |= {f"soles_{name}": array for name, array in vars(body.soles).items()} | {"offsets": body.offsets}
+    state["shares"] = steering.shares
     writer = _Writer()
     writer.share(*program.kept, program.position, drawn.space.mean, drawn.space.std, drawn.space.blended)
     writer.share(poser.references, body.scale)
-    addresses = {name: writer.keep(array) for name, array in own.items()}
+    addresses = {name: writer.keep(array) for name, array in state.items()}
     addresses["position"] = writer.address_of(program.position.ctypes.data)[0]
     writer.struct(program.maps, shared=True)
-    addresses["program"] = writer.struct(program.words, shared=True)
+    writer.struct(steering.types, shared=True)
+    addresses |= {n: writer.struct(w, shared=True) for n, w in (("path", path), ("program", program.words))}
     writer.struct(pose.feet.contents)  # type: ignore[attr-defined]
+    writer.struct(pose.soles.contents)  # type: ignore[attr-defined]
     addresses |= {
-        name: writer.struct(words) for name, words in (("frame", step), ("draw", draw), ("pose", pose))
+        name: writer.struct(words)
+        for name, words in (("frame", step), ("draw", draw), ("pose", pose), ("steering", steering.words))
     }
     fields = {
         "slot": _narrow(type(step)).slot.offset,
         "position": _narrow(type(step)).position.offset,
         "position_bytes": program.position[0].nbytes,
         "temperature": _narrow(type(draw)).temperature.offset,
+        "sole_points": MOST_POINTS,
+        "trajectory": _narrow(steering.words.__class__).trajectory.offset,
+        "path": _offsets(_narrow(path.__class__)),
     }
-    return KernelImage(
-        bytes(writer.shared.data),
-        bytes(writer.own.data),
-        tuple(writer.moved),
-        addresses,
-        fields,
-        network.slot,
-    )
+    segments = bytes(writer.shared.data), bytes(writer.character.data)
+    return KernelImage(*segments, tuple(writer.moved), addresses, fields, network.slot)
 
 
 class _Writer:
     """Writes arrays and structs into both segments; a struct comes after all arrays that it points to."""
 
     def __init__(self) -> None:
-        self.shared, self.own = _Segment(BASE), _Segment(0)
+        self.shared, self.character = _Segment(BASE), _Segment(0)
         self.moved: list[int] = []
 
     def share(self, *arrays: NDArray) -> None:
@@ -134,7 +148,7 @@ class _Writer:
 
     def keep(self, array: NDArray) -> int:
         """Write an array of a character's state; returns its address."""
-        return self._put(self.own, array)
+        return self._put(self.character, array)
 
     def _put(self, segment: _Segment, array: NDArray) -> int:
         assert array.flags.c_contiguous
@@ -144,15 +158,15 @@ class _Writer:
 
     def address_of(self, ours: int) -> tuple[int, bool]:
         """Return the address in the image of an address here, and whether it is in the character's segment."""
-        for segment in (self.shared, self.own):
+        for segment in (self.shared, self.character):
             for start, size, at in segment.placed:
                 if start <= ours < start + size:
-                    return at + ours - start, segment is self.own
+                    return at + ours - start, segment is self.character
         raise AssertionError("a pointer to an array that was not put anywhere")
 
     def struct(self, words: Any, shared: bool = False) -> int:
         """Write a struct, or an array of structs, whose targets are written already; returns its address."""
-        segment = self.shared if shared else self.own
+        segment = self.shared if shared else self.character
         pointers: list[int] = []
         at = segment.put(bytes(self._copy(words, 0, pointers)))
         self.moved += [at + offset for offset in pointers]
@@ -187,6 +201,11 @@ class _Writer:
         if moves:
             pointers.append(offset)
         return address
+
+
+def _offsets(kind: Any) -> dict[str, int]:
+    """Offsets of the fields of a struct, and its size."""
+    return {name: getattr(kind, name).offset for name, _ in kind._fields_} | {"size": ctypes.sizeof(kind)}
 
 
 def _points(kind: Any) -> bool:

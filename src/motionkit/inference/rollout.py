@@ -120,16 +120,16 @@ class RolloutState:
         contacts, scaling, frame = np.asarray(contacts), self.model.scaling, self.frame
         x = ((np.asarray(features) - scaling.mean) / scaling.std).astype(np.float32)
         self.network.reset(x.shape[1] - 1)
-        given = self.controls.recorded_trajectories(np.asarray(features)) if self.model.plain else None
+        trajectories = self.controls.recorded_trajectories(np.asarray(features)) if self.model.plain else None
         for t in range(x.shape[1] - 1):
-            if given is not None:
-                self.controls.trajectory[:] = given[:, t]
+            if trajectories is not None:
+                self.controls.trajectory[:] = trajectories[:, t]
             if controls:
-                asked = controls(t, frame.ground)
+                now = controls(t, frame.ground)
             else:
                 phase = np.array([phase_at(t, length) for length in lengths], np.float32)
-                asked = replace(Controls.of_types(type_weights), phase=phase)
-            self.network.step(x[:, t], contacts[:, t], self.controls.take(asked, x[:, t]))
+                now = replace(Controls.of_types(type_weights), phase=phase)
+            self.network.step(x[:, t], contacts[:, t], self.controls.take(now, x[:, t]))
         self._keep_trajectory()
         frame.x[:], frame.contacts[:] = x[:, -1], contacts[:, -1]
         frame.before[:] = x[:, -2] if x.shape[1] > 1 else x[:, -1]
@@ -162,20 +162,20 @@ class RolloutState:
         if isinstance(self.network, TorchStep):
             self.controls.keep_trajectory(self.network.trajectory)
 
-    def advance(self, asked: Controls) -> FrameArrays:
+    def advance(self, controls: Controls) -> FrameArrays:
         """Like step(), but without copies: the next call overwrites the returned frame."""
         frame = self.frame
-        self.network.step(frame.x, frame.contacts, self.controls.take(asked, frame.x))
+        self.network.step(frame.x, frame.contacts, self.controls.take(controls, frame.x))
         self._keep_trajectory()
         self.drawing.draw(self.network)
         return frame
 
-    def step(self, asked: Controls) -> tuple[Array, Array, Array]:
+    def step(self, controls: Controls) -> tuple[Array, Array, Array]:
         """Return the next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3).
 
         Raises ModelError for a frame that no BVH file could hold.
         """
-        made = self.advance(asked)
+        made = self.advance(controls)
         features, contacts, ground = made.features, made.contacts, made.ground
         # The negation also catches NaN.
         if not (np.abs(features).max() <= MAX_NUMBER and np.abs(ground).max() <= MAX_NUMBER):

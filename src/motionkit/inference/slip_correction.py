@@ -1,7 +1,7 @@
 """Settings of the root-slip correction, which subtracts the sliding of standing feet from the root's velocity.
 
 A frame gives the movement of its feet over the ground twice: by the pose, and by the root's velocity. Each is drawn
-from its own Gaussian. Where a reference was recorded on another trajectory than the wanted one, they disagree and the
+from its own Gaussian. Where a reference was recorded on another trajectory than requested, they disagree and the
 feet slide. Part of that sliding is subtracted from the root's velocity in the frame that the network sees next. The
 correction turns no joint. Foot locking turns joints afterwards, and weighs the feet in the same way (motion/leg_ik.py).
 frame_kernel.c and export/onnx_slip_correction.py compute it.

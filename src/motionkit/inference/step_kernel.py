@@ -117,10 +117,10 @@ class StepProgram:
 
     def frame_words(self, arrays: StepArrays) -> _Frame:
         """Return the struct of the arrays at slot 0; it does not keep the arrays alive."""
-        told: list[NDArray] = [arrays.recent, arrays.keys, arrays.values, arrays.filled, arrays.controls]
-        told += [self.position, arrays.out, arrays.contacts_out]
-        assert all(array.flags.c_contiguous for array in told)
-        return _Frame(*(array.ctypes.data for array in told), 0)
+        kept: list[NDArray] = [arrays.recent, arrays.keys, arrays.values, arrays.filled, arrays.controls]
+        kept += [self.position, arrays.out, arrays.contacts_out]
+        assert all(array.flags.c_contiguous for array in kept)
+        return _Frame(*(array.ctypes.data for array in kept), 0)
 
     def _module_maps(self, weights: ModuleWeights, layers: int) -> list[tuple[NDArray, _Map]]:
         """Return the linear maps in the order of the kernel: part by part, layer by layer."""

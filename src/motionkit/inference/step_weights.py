@@ -126,14 +126,14 @@ def pack(network: NetworkWeights) -> StepWeights:
     deep_bias = network["deep.embed.bias"].astype(np.float64)
     if fusion_bias is not None:
         deep_bias = deep_bias + fusion_bias @ deep_weight
-    shown = 2 * FEATURE_COUNT
+    inputs = 2 * FEATURE_COUNT
     hidden, feet = config.head.contact_hidden, foot_parts(config)
     first = network["contact_mlp.inner.weight"][0].astype(np.float64).reshape(len(feet), 2, D, hidden)
     from_shallow, from_deep = (np.zeros((P, D, hidden)) for _ in range(2))
     from_shallow[feet], from_deep[feet] = root * first[:, 0], root * first[:, 1]
-    aggregate = network["aggregate.weight"][:shown].astype(np.float64).T
+    aggregate = network["aggregate.weight"][:inputs].astype(np.float64).T
     head = np.concatenate([root * aggregate, from_deep.reshape(P * D, hidden)], axis=1)
-    head_bias = np.concatenate([network["aggregate.bias"][:shown], network["contact_mlp.inner.bias"][0, 0]])
+    head_bias = np.concatenate([network["aggregate.bias"][:inputs], network["contact_mlp.inner.bias"][0, 0]])
     momentum = network.get("momentum")
     return StepWeights(
         config,

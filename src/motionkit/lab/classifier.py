@@ -1,8 +1,8 @@
 """An action classifier of a dataset's types, and what papers measure with one (Guo et al. 2020, Action2Motion).
 
 A window of a second is described by the first cosine coefficients over time of joint positions in the heading frame and
-of the velocity over the ground. A network with one hidden layer, whose outputs are the features, tells its type. Values
-compare models that were measured against the same recordings.
+of the velocity over the ground. A network with one hidden layer predicts the type; the hidden values are the features.
+Values compare models that were measured against the same recordings.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import torch.nn.functional as F
 from motionkit.arrays import Array, Floats
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError
-from motionkit.lab.held_out import stretches
 from motionkit.metrics.body import Body, body_of
 from motionkit.metrics.distribution import frechet_distance, multimodality
 from motionkit.metrics.value import MetricValue, measured
@@ -34,7 +33,6 @@ class Classifier:
     """A trained classifier.
 
     Attributes:
-        types: the types it tells apart.
         mean, std: of the descriptions of the windows that it was trained on.
         layers: weights and biases of the hidden and of the last layer.
     """
@@ -73,9 +71,9 @@ def described(body: Body, mirrored: bool = False) -> Floats:
 
 
 def recorded_windows(dataset: Dataset, split: str, mirrored: bool = False) -> dict[str, Floats]:
-    """Return the descriptions of the recordings of each type in a split, with their mirror images if asked."""
+    """Return the descriptions of the recordings of each type in a split, with their mirror images if mirrored."""
     found: dict[str, list[Floats]] = {}
-    for clip, start, end, kind in stretches(dataset, split):
+    for clip, start, end, kind in dataset.stretches(split):
         if not clip.mirrored:
             body = body_of(dataset.motion(clip, dataset.read(clip, start, end)))
             found.setdefault(kind, []).append(described(body))
@@ -123,11 +121,9 @@ def train_classifier(dataset: Dataset, seed: int = 0) -> Classifier:
 def classified(
     classifier: Classifier, made: Mapping[str, Sequence[Array]], real: Iterable[Array]
 ) -> dict[str, MetricValue]:
-    """Return "class-accuracy", "fid-class" and "multimodality" of motion of known types by id.
+    """Return "class-accuracy", "fid-class" and "multimodality" of the descriptions of motions by their type.
 
-    Args:
-        made: for each type the descriptions of its motions.
-        real: descriptions of recordings, for the Frechet distance.
+    The Frechet distance is that to the descriptions of recordings.
     """
     features = {
         kind: [classifier.features(rows) for rows in rows_of if len(rows)] for kind, rows_of in made.items()

@@ -80,8 +80,8 @@ def nearest_clip(dataset: Dataset, clips: Sequence[Clip] = ()) -> Continue:
     def continues(sequence: HeldOut, number: int) -> Array:
         cost = np.zeros(len(usable))
         for back in MATCHED:
-            wanted = sequence.data.features[max(0, sequence.initial - 1 - back), library.poses]
-            cost += np.linalg.norm(library.features[usable - back][:, library.poses] - wanted, axis=1)
+            query = sequence.data.features[max(0, sequence.initial - 1 - back), library.poses]
+            cost += np.linalg.norm(library.features[usable - back][:, library.poses] - query, axis=1)
         at = int(usable[cost.argmin()])
         rows = np.minimum(at + 1 + np.arange(sequence.frames), library.ends[at] - 1)
         return library.features[rows]
@@ -110,8 +110,8 @@ class Matching:
 
         Args:
             present: (276,) features of the frame before.
-            kind: the wanted type, as a number of the dataset.
-            trajectory: (24,) the wanted trajectory.
+            kind: the requested type, as a number of the dataset.
+            trajectory: (24,) the requested trajectory.
         """
         library = self.library
         goes_on = self.at >= 0 and self.at + 1 < library.ends[self.at]
@@ -131,12 +131,12 @@ def motion_matching(dataset: Dataset) -> Continue:
     matching = Matching(dataset)
 
     def continues(sequence: HeldOut, number: int) -> Array:
-        wanted = future_trajectory(sequence.data.ground, np.arange(len(sequence.data.types)))
+        trajectories = future_trajectory(sequence.data.ground, np.arange(len(sequence.data.types)))
         rows: list[Array] = [sequence.data.features[sequence.initial - 1]]
         matching.begin()
         for frame in range(sequence.frames):
             now = sequence.initial - 1 + frame
-            row = matching.next(frame, rows[-1], int(sequence.data.types[now]), wanted[now])
+            row = matching.next(frame, rows[-1], int(sequence.data.types[now]), trajectories[now])
             rows.append(matching.library.features[row])
         return np.stack(rows[1:])
 

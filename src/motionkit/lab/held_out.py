@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, ClipData, Dataset
-from motionkit.data.phases import type_stretches
 from motionkit.features.control import Controls
 from motionkit.features.decode import decode_motion, integrate_ground
 from motionkit.inference.noise import default_noise
@@ -32,8 +31,6 @@ class HeldOut:
     """A held-out sequence.
 
     Attributes:
-        clip: the recording.
-        data: its frames.
         initial: number of initial frames, which are given.
         frames: number of frames to generate after them.
         kind: the most frequent type of these frames.
@@ -51,8 +48,7 @@ def held_out(
 ) -> list[HeldOut]:
     """Return the clips of a split that are long enough, with at most `longest` frames to generate.
 
-    Args:
-        initials: numbers of initial frames to try; the first that leaves LEAST_REST frames is taken.
+    Of `initials`, numbers of initial frames, that is taken which is the first to leave LEAST_REST frames.
     """
     out = []
     for clip in dataset.select(split):
@@ -64,14 +60,6 @@ def held_out(
     return out
 
 
-def stretches(dataset: Dataset, split: str, kind: str = "") -> Iterator[tuple[Clip, int, int, str]]:
-    """Yield clip, start, end and type of each stretch of one type in a split; kind "" means all types."""
-    for clip in dataset.select(split):
-        for start, end, number in type_stretches(dataset.clip_types(clip)):
-            if kind in ("", dataset.types[number]):
-                yield clip, start, end, dataset.types[number]
-
-
 def compared(
     motion: Motion, truth: Motion, metrics: Collection[str]
 ) -> dict[str, tuple[float | None, float | None]]:
@@ -81,14 +69,6 @@ def compared(
         for row in evaluate_motion(motion, truth).rows
         if row.id in metrics
     }
-
-
-def recorded_motion(dataset: Dataset, sequence: HeldOut, body: Skeleton) -> Motion:
-    """Return the motion of a whole sequence, initial frames included, on a body."""
-    data, layout = sequence.data, dataset.layout.version
-    return decode_motion(
-        data.features, body, dataset.fps, data.ground[0], dataset.reference_rotations, layout
-    )
 
 
 def decoded(dataset: Dataset, sequence: HeldOut, features: Array, body: Skeleton | None = None) -> Motion:
@@ -109,29 +89,28 @@ def continued(
     model: MotionModel,
     sequence: HeldOut,
     body: Skeleton,
-    asked: Controls,
+    controls: Controls,
     frames: int,
     seed: int,
     progress: Callable[[int], None] | None = None,
 ) -> Array:
     """Return features (T, 276) that a model generates after the initial frames, sampled as in the paper.
 
-    Args:
-        body: body of the skeleton control signal.
-        asked: controls of every frame of the sequence, initial frames included, or of one frame for all.
+    The skeleton control signal is that of `body`; controls are asked for every frame of the sequence, initial frames
+    included, or one frame of them for all.
     """
     first, data = sequence.initial, sequence.data
-    last = len(asked.type_weights) - 1
+    last = len(controls.type_weights) - 1
 
     def at(frame: int) -> Controls:
-        return asked.at(slice(frame, frame + 1)) if last else asked
+        return controls.at(slice(frame, frame + 1)) if last else controls
 
     state = RolloutState(model, 1, default_noise(model), seed)
     state.controls.set_skeletons([body])
     state.start(
         data.features[None, :first],
         data.contacts[None, :first],
-        asked.type_weights[:1],
+        controls.type_weights[:1],
         data.ground[first - 1 : first],
         controls=lambda t, ground: at(t),
     )

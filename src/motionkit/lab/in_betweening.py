@@ -21,8 +21,8 @@ from motionkit.metrics.in_betweening import (
     Scale,
     Windows,
     gap_errors,
-    held,
     interpolated,
+    last_pose,
     windows_of,
 )  # fmt: skip
 from motionkit.metrics.value import MetricValue
@@ -30,9 +30,9 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import quat_continuous
-from motionkit.rig.on_rig import from_rig
+from motionkit.rig.on_rig import from_rig, read_rig
 from motionkit.rig.read_file import motion_files
-from motionkit.rig.rig import Rig, read_joints_rig
+from motionkit.rig.rig import Rig
 from motionkit.rig.to_rig import to_rig
 
 HELD_OUT = "subject5"
@@ -80,7 +80,6 @@ def in_between(
 
     Args:
         model: fills the gaps as one more way, and its error of mapping the recordings there and back as another.
-        kind: the type that the model is asked for.
         most: windows that are tested, evenly spread; all if 0.
 
     Raises:
@@ -92,14 +91,16 @@ def in_between(
     if 0 < most < len(windows.roots):
         at = np.linspace(0, len(windows.roots) - 1, most).round().astype(int)
         windows = replace(windows, rotations=windows.rotations[at], roots=windows.roots[at])
-    ways: dict[str, Fill] = {"zero velocity": held, "interpolation": interpolated}
+    methods: dict[str, Fill] = {"zero velocity": last_pose, "interpolation": interpolated}
     if model is not None:
-        rig = read_joints_rig(test[0])
-        ways["recording, mapped there and back"] = lambda each, gap: _mapped(each.part(PAST, PAST + gap), rig)
-        ways["model"] = lambda each, gap: _filled(each, gap, model, kind, rig)
+        rig = read_rig(test[0])
+        methods["recording, mapped there and back"] = lambda each, gap: _mapped(
+            each.part(PAST, PAST + gap), rig
+        )
+        methods["model"] = lambda each, gap: _filled(each, gap, model, kind, rig)
     for gap in GAPS:
         truth = windows.part(PAST, PAST + gap)
-        for name, fill in ways.items():
+        for name, fill in methods.items():
             yield gap, name, len(windows.roots), gap_errors(fill(windows, gap), truth, scale)
 
 

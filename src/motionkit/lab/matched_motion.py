@@ -17,14 +17,15 @@ from motionkit.finish.finish import Finish, finish
 from motionkit.lab.floors import Matching
 from motionkit.metrics.body import Body, body_of
 from motionkit.models.model import MotionModel
+from motionkit.rig.soles import body_soles
 from motionkit.training.verdict.rolling import Driven
 
-# Takes a frame and the ground (3,); returns the wanted type and trajectory (24,), or None at the end.
-Asked = Callable[[int, Array], tuple[str, Array] | None]
+# Takes a frame and the ground (3,); returns the requested type and trajectory (24,), or None at the end.
+Request = Callable[[int, Array], tuple[str, Array] | None]
 
 
 class MatchedMotion:
-    """Plays a dataset's training clips by motion matching, with the feet locked as in a model's motions.
+    """Plays a dataset's training clips by motion matching, finished as a model's motions.
 
     The types must be types of the dataset. Speeds and trajectories are those that the model gets.
     """
@@ -41,38 +42,38 @@ class MatchedMotion:
         plan = plan_path(self.model, path)
         follower = PathFollower(self.model, plan)
 
-        def asked(frame: int, ground: Array) -> tuple[str, Array] | None:
-            wanted = follower(frame, ground[None])
+        def request(frame: int, ground: Array) -> tuple[str, Array] | None:
+            controls = follower(frame, ground[None])
             if follower.finished:
                 return None
-            return path.parts[int(path.part_at(follower.place.arc))].type, wanted.trajectory[0]
+            return path.parts[follower.parts[-1]].type, controls.trajectory[0]
 
         heading = np.arctan2(*path.tangents[0]) - follower.route.facings[0]
         frames = round((PATIENCE * plan.seconds + 3.0) * self.model.fps)
-        return self._played(asked, frames, path.parts[0].type, np.array([*path.points[0], heading]))
+        return self._played(request, frames, path.parts[0].type, np.array([*path.points[0], heading]))
 
     def live(self, character: Driven, frames: int) -> Body:
         """Answer the wishes of a live character that gives a trajectory at all times."""
         driver = Driver(self.model, character.type)
 
-        def asked(frame: int, ground: Array) -> tuple[str, Array]:
+        def request(frame: int, ground: Array) -> tuple[str, Array]:
             character.steer(frame, driver)
-            wanted = driver(frame, ground[None])
-            return driver.type, wanted.trajectory[0]
+            controls = driver(frame, ground[None])
+            return driver.type, controls.trajectory[0]
 
-        return self._played(asked, frames, character.type, np.zeros(3))
+        return self._played(request, frames, character.type, np.zeros(3))
 
-    def _played(self, asked: Asked, frames: int, kind: str, begins: Array) -> Body:
+    def _played(self, request: Request, frames: int, kind: str, begins: Array) -> Body:
         matching, library, layout = self.matching, self.matching.library, self.dataset.layout.version
         ground = [begins]
         rows = [int(np.flatnonzero(library.types == self.dataset.types.index(kind))[0])]
         matching.begin()
         for frame in range(frames):
-            wanted = asked(frame, ground[-1])
-            if wanted is None:
+            goal = request(frame, ground[-1])
+            if goal is None:
                 break
-            number = self.dataset.types.index(wanted[0])
-            rows.append(matching.next(frame, library.features[rows[-1]], number, wanted[1]))
+            number = self.dataset.types.index(goal[0])
+            rows.append(matching.next(frame, library.features[rows[-1]], number, goal[1]))
             ground.append(
                 integrate_ground(library.features[rows[-2:]], ground[-1], self.model.fps, layout)[1]
             )
@@ -80,4 +81,4 @@ class MatchedMotion:
         track = np.stack(ground).astype(np.float32)
         reference = self.dataset.reference_rotations
         motion = decode_motion(library.features[rows], body, self.model.fps, track[0], reference, layout)
-        return body_of(finish(motion, library.contacts[rows], Finish()))
+        return body_of(finish(motion, library.contacts[rows], Finish(soles=body_soles(body))))

@@ -42,7 +42,6 @@ class Body:
         rotations: (T, 23, 4) local rotations.
         positions: (T, 23, 3) global joint positions in cm; the floor is at height zero.
         heading: (T,) radians.
-        fps: frames per second.
     """
 
     rotations: Array
@@ -115,7 +114,7 @@ class Body:
         return max((end - start for start, end in spans(swinging)), default=0)
 
     @cached_property
-    def foot_lead(self) -> Array:
+    def foot_ahead(self) -> Array:
         """(T,) distance of the left ankle ahead of the right one in cm."""
         difference = self.positions[:, LEFT_FOOT] - self.positions[:, RIGHT_FOOT]
         return difference[:, 0] * np.sin(self.heading) + difference[:, 2] * np.cos(self.heading)

@@ -50,7 +50,7 @@ def detection_windows(body: Body, window: float) -> list[Body]:
 
 def _steps(body: Body) -> bool:
     """Whether the legs swing alternately."""
-    return float(body.foot_lead.max() - body.foot_lead.min()) > 25.0
+    return float(body.foot_ahead.max() - body.foot_ahead.min()) > 25.0
 
 
 def _idle(body: Body) -> bool:

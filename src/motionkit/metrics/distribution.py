@@ -22,11 +22,7 @@ PAIRS = 300  # random pairs of windows for the diversity (Guo et al. 2020)
 
 
 def window_features(features: Array, embedding: PoseEmbedding) -> Array:
-    """Descriptions (W, 48) of a motion's windows; a motion shorter than a window is one window.
-
-    Args:
-        features: (T, 276) unnormalised.
-    """
+    """Descriptions (W, 48) of the windows of unnormalised features (T, 276); a shorter motion is one window."""
     poses = embedding.of(features).astype(np.float64)
     starts = range(0, max(1, len(poses) - WINDOW + 1), STRIDE)
     windows = [poses[start : start + WINDOW] for start in starts]
@@ -73,8 +69,7 @@ def diversity(windows: Array, seed: int = 0) -> MetricValue:
 def multimodality(motions: Sequence[Sequence[Array]], seed: int = 0) -> MetricValue:
     """Mean distance of random windows of two motions of the same type, id "multimodality" (Guo et al. 2020).
 
-    Args:
-        motions: for each type its motions, each as windows (N, D); TYPE_PAIRS pairs are drawn of each type.
+    motions are for each type its motions, each as windows (N, D); TYPE_PAIRS pairs are drawn of each type.
 
     Raises:
         MotionkitError: no type has two motions.

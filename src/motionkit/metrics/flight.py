@@ -81,12 +81,7 @@ def vertical_acceleration(heights: Array) -> Array:
 
 
 def flights(positions: Array, in_air: Array) -> list[Flight]:
-    """Flights of at least LEAST_SECONDS, with their accelerations.
-
-    Args:
-        positions: (T, 23, 3) global positions in cm, at 60 fps.
-        in_air: (T,) whether nothing touches the ground.
-    """
+    """Flights of at least LEAST_SECONDS in positions (T, 23, 3) in cm at 60 fps; in_air (T,) flags their frames."""
     heights = centre_of_mass(positions)[:, 1]
     found = []
     for start, end in spans(in_air):

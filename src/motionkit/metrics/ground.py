@@ -1,10 +1,12 @@
-"""Measures of feet against the floor: foot skate and penetration.
+"""Measures of feet against the floor: average foot sliding (AFS), foot skate and penetration.
 
 Feet are (T, 4, 3): left foot, left toe, right foot, right toe, in cm with Y up, at 60 fps. The floor is the height in
 cm of standing toe joints.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +21,34 @@ STANDING_TOE = 3.5  # cm from the ground under the soles to a standing toe joint
 def ground_speed(feet: Array) -> Array:
     """Horizontal distance (T - 1, 4) in cm by which each foot joint moves per frame."""
     return np.linalg.norm(np.diff(feet.astype(np.float64)[..., [0, 2]], axis=0), axis=-1)
+
+
+def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
+    """AFS in cm per frame (paper, equation AFS): ground speed, with a weight of 1 on the floor and 0 at height H.
+
+    Raises:
+        MotionkitError: there are fewer than two frames.
+    """
+    settings = settings or MetricSettings()
+    need(len(feet), 2, "average foot sliding needs")
+    limits = np.array([settings.foot_height, settings.toe_height] * 2, np.float64)
+    exponent = np.clip((feet[1:, :, 1].astype(np.float64) - floor) / limits, 0.0, 1.0)
+    sliding = ground_speed(feet) * (2.0 - np.exp2(exponent))
+    parameters: dict[str, float | str] = {
+        "foot_height_cm": settings.foot_height,
+        "toe_height_cm": settings.toe_height,
+        "floor_cm": floor,
+    }
+    return MetricValue("afs", float(sliding.mean()), "cm/frame", parameters)
+
+
+def sliding_over_ground(feet: Array, settings: MetricSettings | None = None) -> MetricValue:
+    """AFS in cm per frame exactly as in the paper: heights are above y = 0, wherever the clip's floor is.
+
+    Raises:
+        MotionkitError: there are fewer than two frames.
+    """
+    return replace(average_foot_sliding(feet, 0.0, settings), id="afs-ground")
 
 
 def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:

@@ -77,7 +77,7 @@ def _placed(windows: Windows) -> Windows:
     )
 
 
-def held(windows: Windows, gap: int) -> Windows:
+def last_pose(windows: Windows, gap: int) -> Windows:
     """Return a gap (N, gap, ...) filled by the last frame before it: the protocol's zero velocity."""
     last = windows.part(PAST - 1, PAST)
     return replace(last, rotations=last.rotations.repeat(gap, axis=1), roots=last.roots.repeat(gap, axis=1))

@@ -20,10 +20,8 @@ SAME_LEAP = 3  # frames within which later jumps belong to the same leap
 def leap_frames(positions: Array) -> Array:
     """Frames (N,) right after a leap, a step that differs by more than LEAP from the steps before and after it.
 
-    Steps are compared as vectors, so a joint that jumps away and back within a frame leaps too.
-
-    Args:
-        positions: (T, 3) of one joint in cm, at 60 fps.
+    Steps of one joint's positions (T, 3), in cm at 60 fps, are compared as vectors, so a joint that jumps away and back
+    within a frame leaps too.
     """
     steps = np.diff(positions.astype(np.float64), axis=0)
     changes = length(np.diff(steps, axis=0))
@@ -32,10 +30,7 @@ def leap_frames(positions: Array) -> Array:
 
 
 def leaps(positions: Array) -> MetricValue:
-    """Leaps per minute of knees and elbows, summed over the four joints.
-
-    Args:
-        positions: (T, 23, 3) global positions in cm, at 60 fps.
+    """Leaps per minute of knees and elbows in positions (T, 23, 3) in cm at 60 fps, summed over the four joints.
 
     Raises:
         MotionkitError: there are fewer than four frames.
@@ -46,11 +41,7 @@ def leaps(positions: Array) -> MetricValue:
 
 
 def fastest_turn(local_rotations: Array, fps: float = FRAME_RATE) -> MetricValue:
-    """Largest angular speed of any joint between two frames, in degrees per second.
-
-    Args:
-        local_rotations: (T, 23, 4) quaternions w, x, y, z; the root's in the world.
-        fps: frames per second.
+    """Largest angular speed in degrees per second of any joint between two frames of rotations (T, 23, 4).
 
     Raises:
         MotionkitError: there are fewer than two frames.

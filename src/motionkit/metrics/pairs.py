@@ -13,8 +13,8 @@ from typing import Any
 from motionkit.errors import MotionkitError
 from motionkit.metrics.report import MetricReport, MetricRow
 from motionkit.names import visible
-from motionkit.reading import manner, reading, retell
-from motionkit.rig.read_file import motion_files, told_endings
+from motionkit.reading import reading, report_note
+from motionkit.rig.read_file import endings_text, motion_files
 
 Pair = tuple[Path, Path | None]  # ground truth, generated
 CSV_COLUMNS = (
@@ -74,7 +74,7 @@ def find_pairs(ground_truth: Path, generated: Path | None) -> tuple[list[Pair], 
     """
     truths = _by_name(ground_truth)
     if not truths:
-        raise MotionkitError(f"{ground_truth}: no {told_endings()} files found")
+        raise MotionkitError(f"{ground_truth}: no {endings_text()} files found")
     if generated is None:
         return [(path, None) for paths in truths.values() for path in paths], []
     made = _by_name(generated)
@@ -106,23 +106,20 @@ def evaluate_pairs(
 ) -> Iterator[PairResult]:
     """Yield the result of each pair; a pair that cannot be measured has an error instead of a report.
 
-    Args:
-        pairs: the files.
-        evaluate: measures a pair; processes need one that can be pickled.
-        each: a function like map, such as that of data.workers.
+    each is a function like map, such as that of data.workers; processes need an `evaluate` that can be pickled.
     """
-    for result, notes in each(partial(_evaluated, evaluate, manner()), list(pairs)):
+    for result, notes in each(partial(_evaluated, evaluate), list(pairs)):
         for note in notes:
-            retell(note)
+            report_note(note)
         yield result
 
 
 def _evaluated(
-    evaluate: Callable[[Path, Path | None], MetricReport], how: dict[str, Any], pair: Pair
+    evaluate: Callable[[Path, Path | None], MetricReport], pair: Pair
 ) -> tuple[PairResult, list[str]]:
     """The result of a pair, and the notes on its files."""
     notes: list[str] = []
-    with reading(hear=notes.append, **how):
+    with reading(on_note=notes.append):
         try:
             return PairResult(*pair, evaluate(*pair)), notes
         except MotionkitError as error:

@@ -1,4 +1,4 @@
-"""Metrics of motion prediction: L2P and L2Q (Harvey et al. 2020), and NPSS (Gopalakrishnan et al. 2019)."""
+"""Metrics of motion prediction: MPJPE, L2P and L2Q (Harvey et al. 2020), and NPSS (Gopalakrishnan et al. 2019)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,25 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.similarity import joint_expmaps
-from motionkit.metrics.value import MetricValue
+from motionkit.metrics.value import MetricValue, need
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
+
+
+def mean_position_error(generated: Array, reference: Array) -> MetricValue:
+    """MPJPE in cm (paper, equation MPJPE) of positions (T, J, 3), relative to the root, the first joint; headings stay.
+
+    Raises:
+        MotionkitError: the shapes differ, or there are no frames.
+    """
+    if generated.shape != reference.shape:
+        raise MotionkitError(f"MPJPE needs equal shapes, found {generated.shape} and {reference.shape}")
+    need(len(generated), 1, "MPJPE needs")
+    generated, reference = generated.astype(np.float64), reference.astype(np.float64)
+    error = (generated - generated[:, :1]) - (reference - reference[:, :1])
+    return MetricValue(
+        "mpjpe", float(np.linalg.norm(error, axis=-1).mean()), "cm", {"joints": float(error.shape[1])}
+    )
 
 
 def position_distance(motion: Motion, truth: Motion) -> MetricValue:

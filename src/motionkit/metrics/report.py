@@ -10,15 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.errors import MotionkitError, SkeletonError, naming
 from motionkit.features.heading import heading_angles
 from motionkit.free_memory import BYTES_BESIDE, check_memory
 from motionkit.metrics.body_movement import body_movement
-from motionkit.metrics.foot_sliding import average_foot_sliding, sliding_over_ground
-from motionkit.metrics.ground import STANDING_TOE, foot_skate_ratio, penetration
+from motionkit.metrics.ground import (
+    STANDING_TOE,
+    average_foot_sliding,
+    foot_skate_ratio,
+    penetration,
+    sliding_over_ground,
+)
 from motionkit.metrics.leaps import fastest_turn, leaps
-from motionkit.metrics.position_error import mean_position_error
 from motionkit.metrics.prediction import (
+    mean_position_error,
     position_distance,
     power_spectrum_similarity,
     rotation_distance,
@@ -34,13 +39,16 @@ from motionkit.metrics.touch import (
 )
 from motionkit.metrics.trajectory import ground_track, location_errors, trajectory_distance
 from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue, measured
+from motionkit.motion.bvh import bvh_to_motion
 from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
-from motionkit.rig.canonical import load_canonical
-from motionkit.rig.upright import Upright
+from motionkit.reading import reading
+from motionkit.rig.canonical import canonical_motion, canonical_with_notes
+from motionkit.rig.read_file import read_file
+from motionkit.rig.upright import describe_motion
 
 # Unit of each metric that needs a pair, and its value for the ground truth against itself.
 PAIR_METRICS: dict[str, tuple[str, float]] = {
@@ -110,14 +118,15 @@ class MetricReport:
     Attributes:
         rows: the metrics, in the order in which they are printed.
         frames: number of frames compared, at fps.
-        fps: frame rate of the per-frame metrics.
         notes: how the motions were made comparable, and what that does to the values.
+        read_as: how each file was read, in words.
     """
 
     rows: tuple[MetricRow, ...]
     frames: int
     fps: float = FRAME_RATE
     notes: tuple[str, ...] = ()
+    read_as: tuple[str, ...] = ()
 
     def value(self, metric_id: str) -> float | None:
         """The motion's value of a metric; raises MotionkitError if the id is not in the report."""
@@ -135,6 +144,9 @@ class MetricReport:
             "fps": self.fps,
             "metrics": [row.as_dict() for row in self.rows],
             "notes": list(self.notes),
+            **(
+                {"taken": self.read_as[0] if len(self.read_as) == 1 else self.read_as} if self.read_as else {}
+            ),
         }
 
     def remarks(self) -> list[str]:
@@ -203,7 +215,7 @@ def evaluate_motion(
     floors = [_floor(each, settings) for each in cut]
     # One floor for both; otherwise a motion that is too low would be measured from its own lower floor.
     columns = [
-        [*_own_metrics(each, span, spans[-1], rate, floors[-1], settings), _floor_value(floor, settings)]
+        [*_single_metrics(each, span, spans[-1], rate, floors[-1], settings), _floor_value(floor, settings)]
         for each, span, floor in zip(cut, spans, floors, strict=True)
     ]
     if reference is None:
@@ -239,24 +251,24 @@ def evaluate_files(
         SkeletonError: a rig cannot be retargeted.
         MotionkitError: as for evaluate_motion.
     """
-    first, notes = load_canonical(ground_truth, scales[0], rates[0])
+    first, notes, words = _loaded(ground_truth, scales[0], rates[0])
     if generated is None:
-        report = _named(str(ground_truth), lambda: evaluate_motion(first, None, settings, skip))
+        with naming(ground_truth, MotionkitError):
+            report = evaluate_motion(first, None, settings, skip)
     else:
-        second, more = load_canonical(generated, scales[1], rates[1])
-        notes += more
-        report = _named(
-            f"{ground_truth} and {generated}",
-            lambda: evaluate_motion(second, first, settings, skip, align_start, given),
-        )
-    return replace(report, notes=(*notes, *report.notes))
+        second, more, other = _loaded(generated, scales[1], rates[1])
+        notes, words = notes + more, words + other
+        with naming(f"{ground_truth} and {generated}", MotionkitError):
+            report = evaluate_motion(second, first, settings, skip, align_start, given)
+    return replace(report, notes=(*notes, *report.notes), read_as=tuple(words))
 
 
-def _named(files: str, evaluate: Callable[[], MetricReport]) -> MetricReport:
-    try:
-        return evaluate()
-    except MotionkitError as error:
-        raise MotionkitError(f"{files}: {error}") from None
+def _loaded(path: str | Path, scale: float | None, rate: float | None) -> tuple[Motion, list[str], list[str]]:
+    """A file on the canonical joints, notes, and how it was read."""
+    with reading(cm=scale), naming(path):
+        bvh = read_file(path)
+        motion, notes = canonical_with_notes(bvh, Path(path).name, fps=rate)
+        return motion, notes, [describe_motion(bvh_to_motion(bvh, fps=rate))]
 
 
 def placed_like(motion: Motion, reference: Motion) -> Motion:
@@ -298,14 +310,13 @@ def _floor_value(floor: float, settings: MetricSettings) -> MetricValue:
 def sliding_words(motion: Motion) -> str:
     """How much the feet of a motion of any rig slide; "" if it is not known as a human one, or too short."""
     try:
-        canonical = Upright.of(motion).canonical
-        slides = None if canonical is None else evaluate_motion(canonical).value("skate-ratio")
+        slides = evaluate_motion(canonical_motion(motion)).value("skate-ratio")
     except MotionkitError:
         return ""
     return "" if slides is None else SLIDING.format(100 * slides)
 
 
-def _own_metrics(
+def _single_metrics(
     motion: Motion, native: Motion, usual: Motion, jerk_rate: float, floor: float, settings: MetricSettings
 ) -> list[MetricValue]:
     """The metrics of one motion above a floor height.
@@ -317,7 +328,7 @@ def _own_metrics(
     """
     positions = motion_kinematics(motion)[1].astype(np.float64)
     feet, ground = foot_positions(positions), floor - STANDING_TOE
-    own, recorded = (motion_kinematics(each)[1].astype(np.float64) for each in (native, usual))
+    native_positions, recorded = (motion_kinematics(each)[1].astype(np.float64) for each in (native, usual))
     rotations = motion.local_rotations
     measures: list[tuple[Callable[[], MetricValue | tuple[MetricValue, ...]], dict[str, str]]] = [
         (lambda: body_movement(rotations, "euler"), {"bm-euler": "deg/frame"}),
@@ -325,9 +336,9 @@ def _own_metrics(
         (lambda: average_foot_sliding(feet, floor, settings), {"afs": "cm/frame"}),
         (lambda: sliding_over_ground(feet, settings), {"afs-ground": "cm/frame"}),
         (lambda: foot_skate_ratio(feet, floor, settings), {"skate-ratio": ""}),
-        (lambda: mean_jerk(own, native.fps, jerk_rate), {"jerk": "m/s^3"}),
+        (lambda: mean_jerk(native_positions, native.fps, jerk_rate), {"jerk": "m/s^3"}),
         (
-            lambda: jerk_extremes(own, native.fps, recorded, usual.fps, jerk_rate),
+            lambda: jerk_extremes(native_positions, native.fps, recorded, usual.fps, jerk_rate),
             {"jerk-peak": "m/s^3", "jerk-area": "m/s^2"},
         ),
         (lambda: penetration(feet, floor), {"penetration-mean": "cm", "penetration-max": "cm"}),
@@ -399,9 +410,9 @@ def _common_frames(motions: list[Motion], starts: list[int], skip: int, given: i
     frames = min(len(each) - start for each, start in zip(motions, starts, strict=True))
     if frames < 2:
         lengths = " and ".join(str(len(each)) for each in reversed(motions))
-        left_out = f"the {skip} skipped" + (f" and the {given} given" if given else "")
+        left_out = " and ".join(f"the {n} {word}" for n, word in ((skip, "skipped"), (given, "given")) if n)
         raise MotionkitError(
-            f"nothing to compare: {lengths} frames at 60 fps, less {left_out}, leave fewer than 2"
+            f"expected at least 2 frames at 60 fps to measure, found {lengths}{left_out and f', less {left_out}'}"
         )
     return frames
 

@@ -13,6 +13,8 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_to_expmap
 
+_BLOCK = 500  # windows compared at once
+
 
 def joint_expmaps(motion: Motion) -> Array:
     """Exponential maps (T, 69) in radians of the 23 joint rotations of a canonical motion.
@@ -57,12 +59,14 @@ def structural_similarity(
     spread = float(reference.max() - lowest)
     if spread < 1e-9:
         raise MotionkitError("SSIM is undefined: the ground truth is constant")
-    index = _window_index(
-        _windows(generated - lowest, settings.ssim_window, kind),
-        _windows(reference - lowest, settings.ssim_window, kind),
-        (settings.ssim_k1 * spread) ** 2,
-        (settings.ssim_k2 * spread) ** 2,
+    c1, c2 = ((k * spread) ** 2 for k in (settings.ssim_k1, settings.ssim_k2))
+    made, real = (
+        sliding_window_view(each - lowest, settings.ssim_window, axis=0) for each in (generated, reference)
     )
+    index = np.concatenate([
+        _window_index(_samples(made[rows], kind), _samples(real[rows], kind), c1, c2)
+        for rows in (slice(first, first + _BLOCK) for first in range(0, len(made), _BLOCK))
+    ])  # fmt: skip
     parameters: dict[str, float | str] = {
         "window": float(settings.ssim_window),
         "k1": settings.ssim_k1,
@@ -72,9 +76,8 @@ def structural_similarity(
     return MetricValue(f"ssim-{kind}", float(index.mean()), "", parameters)
 
 
-def _windows(channels: Array, length: int, kind: str) -> Array:
-    """Sliding windows with samples on the last axis: (windows, C, length) by channel, else (windows, C * length)."""
-    windows = sliding_window_view(channels, length, axis=0)
+def _samples(windows: Array, kind: str) -> Array:
+    """Windows (windows, C, length) with samples on the last axis: as they are by channel, else in one row."""
     return windows if kind == "channel" else windows.reshape(len(windows), -1)
 
 

@@ -37,7 +37,6 @@ def mean_jerk(global_positions: Array, fps: float = FRAME_RATE, rate: float = FR
 
     Args:
         global_positions: (T, J, 3) in cm.
-        fps: frames per second of the positions.
         rate: frame rate at which the derivative is taken; values at different rates are not comparable.
 
     Raises:

@@ -10,11 +10,11 @@ from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings, MetricValue
 
-_BLOCK = 64  # path segments per bounding box
+_BRANCHES = 4  # boxes within a box around segments of a path
 _COVERAGE_STEP = 1.0  # cm between samples of the path
 _MOST_SAMPLES = 100_000  # samples of the path; on a path longer than a kilometre they are further apart
-FAILS_BEYOND = (20, 50)  # cm off a wanted place, from which on papers count it as missed
-_POINTS = 10_000  # points compared with a block at once
+FAILS_BEYOND = (20, 50)  # cm from a target, from which on papers count it as missed
+_PAIRS = 2**16  # points and boxes compared at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,34 +64,62 @@ def distance_to_path(points: Array, path: Array) -> Array:
     points, path = _checked(points, "track"), _checked(path, "path")
     if len(path) == 1:
         return np.linalg.norm(points - path, axis=-1)
-    nearest = _distance_to_points(points, path[::_BLOCK])
-    for first in range(0, len(path) - 1, _BLOCK):
-        block = path[first : first + _BLOCK + 1]
-        # Compare only points whose distance to the block's bounding box is less than the nearest found so far.
-        outside = np.maximum(block.min(0) - points, 0.0) + np.maximum(points - block.max(0), 0.0)
-        near = np.flatnonzero(np.linalg.norm(outside, axis=-1) < nearest)
-        nearest[near] = np.minimum(nearest[near], _distance_to_segments(points[near], block))
+    # Boxes around segments that lie together, and boxes around these: only what is in a box nearer to a point than the
+    # nearest place found so far is looked at. So a way that is walked many times costs little more than one.
+    order = _side_by_side(path[:-1] + path[1:])
+    start, end = path[:-1][order], path[1:][order]
+    levels = [(start, np.minimum(start, end), np.maximum(start, end))]
+    while len(levels[-1][0]) > 1:
+        places, low, high = levels[-1]
+        firsts = np.arange(0, len(places), _BRANCHES)
+        levels.append(
+            (places[::_BRANCHES], np.minimum.reduceat(low, firsts), np.maximum.reduceat(high, firsts))
+        )
+    nearest = np.full(len(points), np.inf)
+    waiting = [(np.arange(len(points)), np.zeros(len(points), np.int64), len(levels) - 1)]
+    while waiting:  # pairs of a point and a box
+        which, box, level = waiting.pop()
+        if len(which) > _PAIRS:
+            half = len(which) // 2
+            waiting += [(which[half:], box[half:], level), (which[:half], box[:half], level)]
+            continue
+        places, low, high = levels[level]
+        np.minimum.at(nearest, which, _length(points[which] - places[box]))
+        outside = np.maximum(np.maximum(low[box] - points[which], points[which] - high[box]), 0.0)
+        near = _length(outside) < nearest[which]
+        which, box = which[near], box[near]
+        if level:
+            inner = (box[:, None] * _BRANCHES + np.arange(_BRANCHES)).ravel()
+            there = inner < len(levels[level - 1][0])
+            waiting.append((which.repeat(_BRANCHES)[there], inner[there], level - 1))
+        else:
+            np.minimum.at(nearest, which, _distance_to_segments(points[which], start[box], end[box]))
     return nearest
 
 
-def _distance_to_points(points: Array, places: Array) -> Array:
-    """Distance (T,) from points (T, 2) to the nearest of places (M, 2)."""
-    nearest = np.linalg.norm(points - places[0], axis=-1)
-    for place in places[1:]:
-        nearest = np.minimum(nearest, np.linalg.norm(points - place, axis=-1))
-    return nearest
+def _side_by_side(places: Array) -> Array:
+    """An order (N,) of places (N, 2) in which neighbours lie together: halves, quarters and so on of the ground."""
+    order = np.arange(len(places))
+    size = 1 << len(places).bit_length()
+    while size > 1:
+        parts, firsts = np.arange(len(places)) // size, np.arange(0, len(places), size)
+        mine = places[order]
+        wide = np.maximum.reduceat(mine, firsts) - np.minimum.reduceat(mine, firsts)
+        along = np.where((wide[:, 0] > wide[:, 1])[parts], mine[:, 0], mine[:, 1])
+        order = order[np.lexsort((along, parts))]
+        size //= 2
+    return order
 
 
-def _distance_to_segments(points: Array, path: Array) -> Array:
-    """Distance (T,) from points (T, 2) to a short polyline (N, 2), by brute force."""
-    if len(points) > _POINTS:
-        some = [points[i : i + _POINTS] for i in range(0, len(points), _POINTS)]
-        return np.concatenate([_distance_to_segments(each, path) for each in some])
-    start, along = path[:-1], np.diff(path, axis=0)
-    squared = np.maximum((along * along).sum(-1), 1e-12)
-    offset = points[:, None] - start
-    share = np.clip((offset * along).sum(-1) / squared, 0.0, 1.0)
-    return np.linalg.norm(offset - share[..., None] * along, axis=-1).min(axis=1)
+def _distance_to_segments(points: Array, start: Array, end: Array) -> Array:
+    """Distance (T,) from points (T, 2) to a segment each, from start to end (T, 2)."""
+    along, offset = end - start, points - start
+    share = np.clip((offset * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-12), 0.0, 1.0)
+    return _length(offset - share[:, None] * along)
+
+
+def _length(vectors: Array) -> Array:
+    return np.hypot(vectors[:, 0], vectors[:, 1])
 
 
 def trajectory_distance(
@@ -112,7 +140,7 @@ def trajectory_distance(
     return TrajectoryDistance(distances, float(covered.astype(np.float64).mean()), tolerance)
 
 
-def location_errors(track: Array, wanted: Array) -> tuple[MetricValue, ...]:
+def location_errors(track: Array, target: Array) -> tuple[MetricValue, ...]:
     """Errors of where the root (T, 2) is beside where it was to be (T, 2) in the same frame, both x, z in cm.
 
     "location-mean" is their mean distance, "location-20" and "-50" the share of frames further away than 20 and 50 cm,
@@ -122,10 +150,10 @@ def location_errors(track: Array, wanted: Array) -> tuple[MetricValue, ...]:
     Raises:
         MotionkitError: the lengths differ.
     """
-    track, wanted = _checked(track, "track"), _checked(wanted, "path")
-    if len(track) != len(wanted):
-        raise MotionkitError(f"expected tracks of one length, found {len(track)} and {len(wanted)} frames")
-    away = np.linalg.norm(track - wanted, axis=-1)
+    track, target = _checked(track, "track"), _checked(target, "path")
+    if len(track) != len(target):
+        raise MotionkitError(f"expected tracks of one length, found {len(track)} and {len(target)} frames")
+    away = np.linalg.norm(track - target, axis=-1)
     shares = {limit: float((away > limit).mean()) for limit in FAILS_BEYOND}
     return (
         MetricValue("location-mean", float(away.mean()), "cm"),
@@ -142,8 +170,8 @@ def _sampled(path: Array) -> Array:
     if total == 0.0:
         return path[:1]
     count = min(max(2, round(total / _COVERAGE_STEP) + 1), _MOST_SAMPLES)
-    wanted = np.linspace(0.0, total, count)
-    return np.stack([np.interp(wanted, arc, column) for column in path.T], axis=-1)
+    samples = np.linspace(0.0, total, count)
+    return np.stack([np.interp(samples, arc, column) for column in path.T], axis=-1)
 
 
 def _checked(points: Array, what: str) -> Array:

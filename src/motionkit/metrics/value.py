@@ -17,7 +17,6 @@ class MetricValue:
 
     Attributes:
         id: the metric, such as "bm-euler".
-        value: None if it cannot be measured.
         unit: such as "cm/frame", or "" for a share or index.
         parameters: thresholds that the value depends on.
         reason: why value is None.

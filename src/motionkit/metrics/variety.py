@@ -27,9 +27,7 @@ REPLAY_SECONDS = 5.0  # after which a recorded place that is shown again counts 
 
 
 def pose_gap(first: Array, second: Array) -> float:
-    """Mean distance per joint in cm between the poses (T, 69) of two motions at equal times.
-
-    The longer motion is cut to the length of the shorter one.
+    """Mean distance per joint in cm of two motions' poses (T, 69) at equal times; the longer motion is cut.
 
     Raises:
         MotionkitError: one of them is empty.
@@ -88,11 +86,7 @@ class RecordingWindows:
     """All windows of WINDOW poses of some recordings; a recording may have several tracks, such as a mirrored one."""
 
     def __init__(self, recordings: Sequence[Sequence[Array]]) -> None:
-        """Collect the windows.
-
-        Args:
-            recordings: poses (T, 69) of the tracks of each recording; tracks shorter than a window are left out.
-        """
+        """Collect the windows of the tracks, poses (T, 69), of each recording; shorter tracks are left out."""
         tracks = [(number, poses) for number, recording in enumerate(recordings) for poses in recording]
         rows = [_windows(poses, 1) for _, poses in tracks]
         if not sum(map(len, rows)):
@@ -106,22 +100,17 @@ class RecordingWindows:
         self._starts = np.concatenate([np.arange(len(row)) for row in rows])
 
     def places(self, poses: Array, without: int = -1) -> Places:
-        """Return the nearest recorded window for each window of a motion.
-
-        Args:
-            poses: (T, 69) of the motion.
-            without: number of a recording to leave out.
-        """
-        wanted = _windows(poses, STRIDE).astype(np.float32)
+        """Return the nearest window, but of one recording, for each window of poses (T, 69)."""
+        windows = _windows(poses, STRIDE).astype(np.float32)
         left_out = self._numbers == without
-        if not len(wanted) or left_out.all():
+        if not len(windows) or left_out.all():
             none = np.zeros(0, np.int64)
             return Places(none, none, none, np.zeros(0))
-        # Squared distances, without the norm of the wanted window, which is the same for all rows.
-        costs = self._squares - 2.0 * (wanted @ self._rows.T)
+        # Squared distances, without the norm of the searched window, which is the same for all rows.
+        costs = self._squares - 2.0 * (windows @ self._rows.T)
         costs[:, left_out] = np.inf
         best = costs.argmin(axis=1)
-        distances = np.linalg.norm(wanted - self._rows[best], axis=1) / (WINDOW * JOINT_COUNT) ** 0.5
+        distances = np.linalg.norm(windows - self._rows[best], axis=1) / (WINDOW * JOINT_COUNT) ** 0.5
         return Places(self._numbers[best], self._tracks[best], self._starts[best], distances)
 
 
@@ -132,11 +121,7 @@ def drawn_share(places: Sequence[Places], lengths: Array) -> float:
 
 
 def loop_seconds(poses: Array) -> MetricValue:
-    """The shortest time in seconds, from LOOP_SECONDS to half the motion, after which it repeats; None if it does not.
-
-    Args:
-        poses: (T, 69) at POSE_RATE.
-    """
+    """Shortest time in seconds, from LOOP_SECONDS to half the motion, after which poses (T, 69) repeat; else None."""
     distances = distances_between(poses, poses)
     usual = float(np.median(distances[np.triu_indices(len(poses), 1)]))
     first, last = round(LOOP_SECONDS * POSE_RATE), len(poses) // 2

@@ -22,8 +22,7 @@ BLOCK = 16
 class LocalAttention(nn.Module):
     """Multi-head self-attention of each frame over itself and the W - 1 frames before, added to a residual.
 
-    Attributes:
-        in_torch: whether to compute in torch where the C kernel could.
+    in_torch computes in torch where the C kernel could.
     """
 
     in_torch = False
@@ -95,14 +94,9 @@ class LocalAttention(nn.Module):
     def step(
         self, x_PBD: Tensor, residual: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor
     ) -> Tensor:
-        """Attend from one new frame to a ring of W keys and values, and write the frame into the ring.
+        """Attend from one new frame to a ring of W keys and values, (P, B, H, W, E), and write the frame into a slot.
 
-        Args:
-            x_PBD: the new frame.
-            residual: (P, B, D) to which the result is added.
-            keys, values: (P, B, H, W, E) rings, changed in place.
-            slot: ring slot of this frame.
-            bias: (P, 1, H, 1, W) bias of each ring slot; -inf for empty slots.
+        The result is added to a residual (P, B, D). bias (P, 1, H, 1, W) is of each ring slot; -inf for empty ones.
         """
         P, B, D = x_PBD.shape
         H, E = self.heads, D // self.heads

@@ -73,10 +73,18 @@ class _Attend(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         qkv, bias, position, shares = ctx.saved_tensors
         P, B, _, _, E, H = qkv.shape
-        given = gradient.to(qkv.dtype).contiguous()
+        outputs_gradient = gradient.to(qkv.dtype).contiguous()
         to_qkv = torch.empty_like(qkv)
         to_bias, to_position = torch.empty(P, B, 3, E, H), torch.empty(P, B, position.shape[1], H)
-        _call("attention_backward", (qkv, bias, position), shares, given, to_qkv, to_bias, to_position)
+        _call(
+            "attention_backward",
+            (qkv, bias, position),
+            shares,
+            outputs_gradient,
+            to_qkv,
+            to_bias,
+            to_position,
+        )
         return to_qkv, to_bias.sum(1), to_position.sum(1)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,7 +20,6 @@ class Batch:
     Attributes:
         inputs, targets: (B, T, 276).
         contacts, next_contacts: (B, T, 4).
-        controls: (B, T, C).
         trajectory: (B, T, 24) trajectory of the target frame.
         offsets: (B, 23, 3) bone offsets in cm.
         mask: (B, T) weight of each frame.
@@ -35,7 +36,16 @@ class Batch:
 
     def to(self, device: torch.device | str) -> Batch:
         """Return the batch on another device."""
-        return Batch(**{name: value.to(device, non_blocking=True) for name, value in vars(self).items()})
+        return Batch(*(value.to(device, non_blocking=True) for value in vars(self).values()))
+
+    def __getitem__(self, places: Any) -> Batch:
+        """Return some windows of the batch; of stacked batches, that of one seed."""
+        return Batch(*(value[places] for value in vars(self).values()))
+
+    @staticmethod
+    def joined(batches: Sequence[Batch], join: Callable[[list[Tensor]], Tensor] = torch.cat) -> Batch:
+        """Return one batch of all windows in order, or with another way to join tensors."""
+        return Batch(*map(join, map(list, zip(*(vars(each).values() for each in batches), strict=True))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +55,6 @@ class FeatureSpace:
     Attributes:
         mean, std: (276,) scaling of the features.
         reference_rotations: (23, 4) reference rotations of the joints.
-        layout: version of the columns.
-        fps: frames per second.
     """
 
     mean: Tensor

@@ -10,7 +10,7 @@ from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 
 BUNDLED = "bundled"  # name of the bundled model in place of a path
-OWN_REFERENCES = "own"
+MODEL_REFERENCES = "own"
 BUNDLED_MODEL = Path(__file__).resolve().parent.parent / "assets" / "motionkit-free.safetensors"
 
 
@@ -44,7 +44,7 @@ def reference_rotations(references: str | Path, layout: str) -> Array | None:
     Raises:
         ModelError: the file is not a model, or a model of another layout.
     """
-    if str(references) == OWN_REFERENCES:
+    if str(references) == MODEL_REFERENCES:
         return None
     model = open_model(references)
     if model.config.layout == layout:

@@ -8,7 +8,6 @@ the first releases use other names (former_names.py) and can still be read.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
@@ -23,7 +22,7 @@ from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
 from motionkit.features.normalize import Scaling
 from motionkit.features.reference import PoseEmbedding
-from motionkit.files import atomic_write
+from motionkit.files import atomic_write, plain
 from motionkit.models.architectures import config_from_dict
 from motionkit.models.file_check import check_header, check_tensors, check_values
 from motionkit.models.former_names import FORMER_FORMAT, renamed_header, renamed_tensor
@@ -88,7 +87,7 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "uses_references": model.uses_references,
         **({"own_bodies": True} if model.own_bodies else {}),
         **{field: _presets(types, field) for field in PRESET_FIELDS},
-        "card": _plain(model.card),
+        "card": plain(model.card),
     }
     data = save(model_arrays(model, half), metadata={"motionkit": json.dumps(header)})
     with atomic_write(path, "wb") as file:
@@ -99,15 +98,6 @@ def _presets(types: Mapping[str, MotionType], field: str) -> dict[str, float]:
     """One field of the sampling presets, for the types that have it."""
     values = {name: getattr(kind.preset, field) for name, kind in types.items()}
     return {name: value for name, value in values.items() if value is not None}
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value of a card to plain JSON; NaN and infinite numbers, such as a diverged loss, become null."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    return [_plain(each) for each in value] if isinstance(value, (list, tuple)) else value
 
 
 def read_header(path: str | Path) -> dict[str, Any]:

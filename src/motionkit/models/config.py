@@ -206,8 +206,8 @@ class ModelConfig:
             group: kind(**{f.name: values[f.name] for f in fields(kind) if f.name in values})
             for group, kind in GROUPS.items()
         }
-        own = {f.name: values[f.name] for f in fields(cls) if f.name in values}
-        return cls(**own, **groups)
+        flat = {f.name: values[f.name] for f in fields(cls) if f.name in values}
+        return cls(**flat, **groups)
 
 
 GROUPS: dict[str, Any] = {"variant": Variant, "embedding": Embedding, "dropout": Dropout, "head": Head}

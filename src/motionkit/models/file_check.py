@@ -60,14 +60,14 @@ def check_header(header: dict[str, Any]) -> None:
     }
     for key, value in switches.items():
         if not isinstance(value, bool):
-            raise ModelError(f"{key} is {_shown(value)}, expected true or false")
+            raise ModelError(f"{key} is {_value_text(value)}, expected true or false")
     if not isinstance(header.get("card", {}), dict):
-        raise ModelError(f"card is {_shown(header['card'])}, expected an object")
+        raise ModelError(f"card is {_value_text(header['card'])}, expected an object")
     for key in ("start_poses", "reference_clips"):
         for kind, count in _by_type(header, key, types):
             if not is_number(count, 0, MOST_RECORDINGS, whole=True):
                 raise ModelError(
-                    f"{key} of {kind!r} are {_shown(count)}, expected a number up to {MOST_RECORDINGS}"
+                    f"{key} of {kind!r} are {_value_text(count)}, expected a number up to {MOST_RECORDINGS}"
                 )
     for key, low, high in (
         ("reference_gain", *REFERENCE_GAINS),
@@ -80,24 +80,26 @@ def check_header(header: dict[str, Any]) -> None:
             check_number(f"{key} of {kind!r}", value, low, high)
     for kind, values in _by_type(header, "gaits", types, needed=False):
         if not isinstance(values, list) or len(values) not in (2, 3):
-            raise ModelError(f"the gait of {kind!r} is {_shown(values)}, expected speed, angle and seconds")
+            raise ModelError(
+                f"the gait of {kind!r} is {_value_text(values)}, expected speed, angle and seconds"
+            )
         limits = ((0.0, FASTEST), (-2.0 * math.pi, 2.0 * math.pi), (0.0, LONGEST_PHASE))
         for value, (low, high) in zip(values, limits, strict=False):
             check_number(f"the gait of {kind!r}", value, low, high)
     steered = header.get("steered", [])
     if not isinstance(steered, list) or any(kind not in types for kind in steered):
-        raise ModelError(f"steered is {_shown(steered)}, expected a list of types")
+        raise ModelError(f"steered is {_value_text(steered)}, expected a list of types")
 
 
 def check_names(types: Any, characters: Any) -> None:
     """Raise ModelError unless types and characters are lists of allowed names."""
     for what, names, most in (("types", types, MOST_TYPES), ("characters", characters, MOST_CHARACTERS)):
         if not isinstance(names, list) or not 0 < len(names) <= most:
-            raise ModelError(f"{what} are {_shown(names)}, expected a list of 1 to {most} names")
+            raise ModelError(f"{what} are {_value_text(names)}, expected a list of 1 to {most} names")
         for name in names:
             if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
                 raise ModelError(
-                    f"{what} have {_shown(name)}, expected a printable name of up to {LONGEST_NAME} characters"
+                    f"{what} have {_value_text(name)}, expected a printable name of up to {LONGEST_NAME} characters"
                 )
         if len({nfc(name) for name in names}) < len(names):
             raise ModelError(f"{what} have a name twice")
@@ -111,20 +113,20 @@ def _by_type(
     """Return the entries of an object whose keys are types."""
     entries = header.get(key, None if needed else {})
     if not isinstance(entries, dict):
-        raise ModelError(f"{key} is {_shown(entries)}, expected an object with a value per type")
+        raise ModelError(f"{key} is {_value_text(entries)}, expected an object with a value per type")
     unknown = set(entries) - set(types)
     if unknown:
-        raise ModelError(f"{key} names the type {_shown(min(unknown))}, which the model does not have")
+        raise ModelError(f"{key} names the type {_value_text(min(unknown))}, which the model does not have")
     return entries.items()
 
 
 def check_number(what: str, value: Any, low: float, high: float, whole: bool = False) -> None:
     """Raise ModelError unless a value is a number in a range."""
     if not is_number(value, low, high, whole):
-        raise ModelError(f"{what} is {_shown(value)}, expected a number from {low:g} to {high:g}")
+        raise ModelError(f"{what} is {_value_text(value)}, expected a number from {low:g} to {high:g}")
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     """Format a value for a message, in one short line."""
     text = ascii(value)
     return text if len(text) <= 60 else text[:57] + "..."
@@ -177,11 +179,7 @@ def weight_shapes(config: ModelConfig, control_size: int) -> dict[str, Shape]:
 
 
 def check_tensors(header: dict[str, Any], config: PredictorConfig, found: Mapping[str, TensorFacts]) -> None:
-    """Raise ModelError unless a file has exactly the tensors of its header, with their shapes and types.
-
-    Args:
-        header: one that check_header has passed.
-    """
+    """Raise ModelError unless a file has exactly the tensors of its checked header, with their shapes and types."""
     expected: dict[str, Shape] = {
         "scaling.mean": (FEATURE_COUNT,),
         "scaling.std": (FEATURE_COUNT,),
@@ -219,7 +217,7 @@ def check_tensors(header: dict[str, Any], config: PredictorConfig, found: Mappin
         allowed = ("U8",) if name.startswith("start_pose.") and name.endswith(":contacts") else FLOATS
         if facts.dtype not in allowed:
             raise ModelError(
-                f"the tensor {_shown(name)} is of type {facts.dtype}, expected {' or '.join(allowed)}"
+                f"the tensor {_value_text(name)} is of type {facts.dtype}, expected {' or '.join(allowed)}"
             )
 
 
@@ -227,23 +225,25 @@ def check_shapes(found: Mapping[str, TensorFacts], expected: Mapping[str, Shape]
     """Raise ModelError unless exactly the expected tensors are there, with their shapes."""
     for name, shape in expected.items():
         if name not in found:
-            raise ModelError(f"the tensor {_shown(name)} is missing")
+            raise ModelError(f"the tensor {_value_text(name)} is missing")
         if found[name].shape != shape:
             raise ModelError(
-                f"the tensor {_shown(name)} has shape {_shown(found[name].shape)}, expected {shape}"
+                f"the tensor {_value_text(name)} has shape {_value_text(found[name].shape)}, expected {shape}"
             )
     unknown = set(found) - set(expected)
     if unknown:
-        raise ModelError(f"the tensor {_shown(min(unknown))} is unknown")
+        raise ModelError(f"the tensor {_value_text(min(unknown))} is unknown")
 
 
 def _frames(found: Mapping[str, TensorFacts], name: str) -> int:
     """Return the first dimension of a tensor, the length of a recording."""
     facts = found.get(name)
     if facts is None:
-        raise ModelError(f"the tensor {_shown(name)} is missing")
+        raise ModelError(f"the tensor {_value_text(name)} is missing")
     if not facts.shape or not 1 <= facts.shape[0] <= MOST_FRAMES:
-        raise ModelError(f"the tensor {_shown(name)} has shape {_shown(facts.shape)}, expected some frames")
+        raise ModelError(
+            f"the tensor {_value_text(name)} has shape {_value_text(facts.shape)}, expected some frames"
+        )
     return facts.shape[0]
 
 
@@ -252,11 +252,13 @@ def check_values(tensors: Iterable[tuple[str, np.ndarray]]) -> None:
     for name, values in tensors:
         if values.size and not float(np.abs(values).max()) <= LARGEST:  # NaN is refused, too
             raise ModelError(
-                f"the tensor {_shown(name)} has numbers that are NaN, infinite or above {LARGEST:g}"
+                f"the tensor {_value_text(name)} has numbers that are NaN, infinite or above {LARGEST:g}"
             )
         if name in ("scaling.std", "trajectory.std") and values.min() <= 0.0:
-            raise ModelError(f"the tensor {_shown(name)} has {values.min():g}, expected positive deviations")
+            raise ModelError(
+                f"the tensor {_value_text(name)} has {values.min():g}, expected positive deviations"
+            )
         if name == "reference_rotations" and np.abs(np.linalg.norm(values, axis=-1) - 1.0).max() > 0.01:
-            raise ModelError(f"the tensor {_shown(name)} has rotations that are not unit quaternions")
+            raise ModelError(f"the tensor {_value_text(name)} has rotations that are not unit quaternions")
         if name.startswith("character.") and np.abs(values).max() > LONGEST_BONE:
-            raise ModelError(f"the tensor {_shown(name)} has a bone longer than {LONGEST_BONE:g} cm")
+            raise ModelError(f"the tensor {_value_text(name)} has a bone longer than {LONGEST_BONE:g} cm")

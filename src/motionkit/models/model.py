@@ -25,6 +25,7 @@ from motionkit.models.motion_type import (
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 from motionkit.names import nfc, unknown_name
+from motionkit.rig.soles import LiveSoles
 
 REFERENCE_CHOICES = ("auto", "none")
 
@@ -35,13 +36,12 @@ class MotionModel:
 
     Attributes:
         types: the motion types by name, in the order of the type signal.
-        fps: frames per second.
         scaling, trajectory_scaling: scalings of the 276 features and the 24 trajectory numbers.
         reference_rotations: (23, 4) rotations to which the exponential maps of the features are relative.
-        pose_embedding: maps features to pose embeddings.
         characters: rest-pose offsets (23, 3) in cm by name; "default" is always there.
         uses_references: whether the network was trained with reference poses.
         own_bodies: whether it was trained on performers with their own bodies.
+        soles: of characters with a mesh, by name, for live motion.
         card: data, settings, duration and scores of the training; for people, not needed to run.
     """
 
@@ -56,6 +56,7 @@ class MotionModel:
     uses_references: bool = False
     card: dict[str, Any] = field(default_factory=dict)
     own_bodies: bool = False
+    soles: dict[str, LiveSoles] = field(default_factory=dict)
 
     @property
     def type_names(self) -> tuple[str, ...]:
@@ -121,12 +122,9 @@ class MotionModel:
         }
 
     def root_hold(self, type_weights: Array, gaits: float = 1.0) -> Array:
-        """Share (...) of foot sliding to subtract from the root's path, by type weights (..., N).
+        """Share (...) of foot sliding to subtract from the root's path, by type weights (..., N); of gaits another one.
 
         It is 0 for a standing body: its feet shuffle while it sways, and the correction would carry it away.
-
-        Args:
-            gaits: share for gaits.
         """
         moving = self._moving if gaits == 1.0 else np.where(self._gaits, np.float32(gaits), self._moving)
         # A matrix product would not do: its last digits depend on the other characters' rows.

@@ -92,11 +92,9 @@ class AutoRegressiveModule(nn.Module):
     def forward(
         self, x_PBTD: Tensor, controls_BTC: Tensor, first: int = 0, kept: int | None = None
     ) -> Tensor:
-        """Process frames (P, B, T, ...) with their controls (B, T, C).
+        """Process frames (P, B, T, ...) from a first position on, with controls (B, T, C); return the last `kept` ones.
 
-        Args:
-            first: position of the first frame, for sinusoidal positions.
-            kept: number of last frames to return; attention drops frames that none of them sees.
+        Attention drops frames that none of these sees.
         """
         if self.kernel > 1:
             padded = F.pad(x_PBTD, (0, 0, self.kernel - 1, 0))

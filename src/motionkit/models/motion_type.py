@@ -130,12 +130,7 @@ class ReferenceClip:
 
 @dataclass(frozen=True)
 class Rhythm:
-    """How jumps or performances of a type follow one another, in frames.
-
-    Attributes:
-        frames: duration of the phase from 0 to 1.
-        period: frames from the beginning of one to the beginning of the next.
-    """
+    """How jumps or performances follow one another: frames of the phase, and from one beginning to the next."""
 
     frames: float
     period: int
@@ -173,10 +168,12 @@ def recorded_speeds(clips: Sequence[ReferenceClip], fps: float) -> tuple[float, 
     recordings have nearly the same speed, the range still reaches LEAST_MARGIN to both sides.
     """
     second = round(fps)
-    ways = [clip.ground[second:, :2] - clip.ground[:-second, :2] for clip in clips if len(clip) > second]
-    if not ways:
+    displacements = [
+        clip.ground[second:, :2] - clip.ground[:-second, :2] for clip in clips if len(clip) > second
+    ]
+    if not displacements:
         return None
-    speeds = np.linalg.norm(np.concatenate(ways), axis=-1) * fps / second
+    speeds = np.linalg.norm(np.concatenate(displacements), axis=-1) * fps / second
     slow, usual, fast = np.quantile(speeds, [SPEED_SHARE, 0.5, 1.0 - SPEED_SHARE]).tolist()
     return (
         min(slow * (1.0 - SPEED_MARGIN), usual * (1.0 - LEAST_MARGIN)),
@@ -209,10 +206,8 @@ class MotionType:
     """One motion type of a model.
 
     Attributes:
-        start_poses: recorded frames to start a character from.
         reference_clips: recordings for reference poses; of performances the longest first.
         gait: how it moves over the ground; None if not measured.
-        preset: how its frames are drawn.
         steered: whether velocity alone steers it (is_steered).
         rhythm: recorded_rhythm of jumps; None with recordings and for other types.
         speeds: recorded_speeds of a gait; None with recordings and for other types.
@@ -232,8 +227,8 @@ class MotionType:
     def kind(self) -> MotionKind:
         """The kind of the type, from its recordings, or without them from rhythm and gait."""
         if self.steered:
-            stands = self.gait is not None and self.gait.speed < STANDING_SPEED
-            return MotionKind.STANCE if stands else MotionKind.GAIT
+            standing = self.gait is not None and self.gait.speed < STANDING_SPEED
+            return MotionKind.STANCE if standing else MotionKind.GAIT
         if self.reference_clips and self.reference_clips[0].performed:
             return MotionKind.PERFORMANCE
         if self.reference_clips:
@@ -255,24 +250,18 @@ class MotionType:
 
 
 def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: float) -> bool:
-    """Whether velocity alone steers a type, from its recordings: a steady gait, or standing still.
+    """Whether velocity alone steers a type, from its reference clips: a steady gait, or standing still.
 
-    Args:
-        clips: reference clips of the type.
-        embedding: the map that made their poses.
-        fps: frames per second of the clips.
-
-    Returns:
-        True for a steady gait or standing still; False for types with a phase, and without clips.
+    It is False for types with a phase, and without clips. embedding is the map that made their poses.
     """
     if not clips or any(bool((clip.phases >= 0.0).any()) for clip in clips):
         return False
     velocity = np.concatenate([facing_velocity(clip, fps) for clip in clips])
     speed = float(np.linalg.norm(velocity, axis=1).mean())
     steadiness = float(np.linalg.norm(velocity.mean(axis=0))) / max(speed, 1e-6)
-    stands = speed < STANDING_SPEED
+    standing = speed < STANDING_SPEED
     # This early return covers most types, because poses take the longest.
-    if not stands and (speed <= GAIT_SPEED or steadiness <= GAIT_STEADINESS):
+    if not standing and (speed <= GAIT_SPEED or steadiness <= GAIT_STEADINESS):
         return False
     # A map that keeps lengths in the space of poses, with only as many columns as the embedding has.
     to_poses = np.linalg.pinv(embedding.matrix.astype(np.float64))
@@ -280,7 +269,7 @@ def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: fl
     poses = [clip.poses[: len(clip)] @ lengths for clip in clips]
     whole = np.concatenate(poses)
     spread = float(np.sqrt(np.square(whole - whole.mean(axis=0)).sum(axis=1).mean()))
-    if stands:
+    if standing:
         steps = np.concatenate([np.linalg.norm(np.diff(p, axis=0), axis=1) for p in poses])
         return spread < STANDING_SPREAD and float(steps.mean()) * fps < STANDING_MOVEMENT
     return spread < GAIT_SPREAD

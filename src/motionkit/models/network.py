@@ -60,7 +60,7 @@ class PartTransformer(Predictor):
         self.cross = LocalAttention(P, D, config.heads, config.window, bias=False) if crosses else None
         self.aggregate = nn.Linear(P * D, 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT)
         self.momentum = nn.Parameter(_first_momentum(config)) if config.head.head_momentum else None
-        self.given_trajectory = ControlLayout.trajectory_columns(config.controls, control_size)
+        self.trajectory_columns = ControlLayout.trajectory_columns(config.controls, control_size)
         self.feet = foot_parts(config)
         self.contact_mlp = FeedForward(1, 2 * D * len(self.feet), config.head.contact_hidden, CONTACT_COUNT)
         self._initialise()
@@ -92,10 +92,7 @@ class PartTransformer(Predictor):
     def forward(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> Prediction:
         """Predict frame n + 1 from frames up to n, for all n at once.
 
-        Args:
-            x_BTF: (B, T, 276) normalised features.
-            contacts_BT4: (B, T, 4) foot contacts.
-            controls_BTC: (B, T, C) normalised control vectors.
+        Frames are normalised features (B, T, 276), contacts (B, T, 4) and normalised control vectors (B, T, C).
         """
         inputs = F.dropout(
             self.split_parts(x_BTF, contacts_BT4), self.config.dropout.input_dropout, self.training
@@ -147,7 +144,7 @@ class PartTransformer(Predictor):
         if self.momentum is not None:
             mean = mean + self.momentum * (x - before).float()
         if self.config.head.trajectory_skip:  # zeros where no trajectory is given
-            trajectory = trajectory + controls[..., self.given_trajectory].float()
+            trajectory = trajectory + controls[..., self.trajectory_columns].float()
         feet = torch.cat([torch.cat([shallow[i], deep[i]], dim=-1) for i in self.feet], dim=-1)
         contact_logits = self.contact_mlp(feet[None])[0].float()
         low, high = self.config.head.log_sigma_min, self.config.head.log_sigma_max
@@ -200,10 +197,10 @@ class NetworkStream:
         self.recomputes = windowed and not config.variant.recurrent
         self.reset()
 
-    def reset(self, given: int = 0) -> None:
-        """Forget all frames. Of the next `given` recorded frames, only the prediction of the last may be used."""
+    def reset(self, warmup: int = 0) -> None:
+        """Forget all frames. Of the next `warmup` recorded frames, only the prediction of the last may be used."""
         network, config = self.network, self.network.config
-        self.unused = given - 1
+        self.unused = warmup - 1
         P, B, device = len(network.body.parts), self.batch, network.aggregate.weight.device
         self.frame = 0
         if self.recomputes:

@@ -13,7 +13,6 @@ class BodyPart:
     """A body part: one stream of the network.
 
     Attributes:
-        name: for logs.
         joints: canonical joint indices, the shared ones first.
         contacts: which of the four foot contacts are inputs (left foot, left toe, right foot, right toe).
     """

@@ -46,8 +46,8 @@ def stacked(frames: Sequence[NextFrame]) -> NextFrame:
 class PredictorStream(Protocol):
     """The state of B independent characters."""
 
-    def reset(self, given: int = 0) -> None:
-        """Forget all frames. Of the next `given` recorded frames, only the prediction of the last is used."""
+    def reset(self, warmup: int = 0) -> None:
+        """Forget all frames. Of the next `warmup` recorded frames, only the prediction of the last is used."""
         ...
 
     def step(
@@ -62,8 +62,6 @@ class Predictor(nn.Module):
 
     Attributes:
         config: its sizes and choices; config and control_size suffice to build it.
-        control_size: length of its control vector.
-        config_class: the class of config.
         latent_size: normal numbers per character that a step takes; 0 for none.
     """
 

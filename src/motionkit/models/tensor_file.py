@@ -18,12 +18,7 @@ MOST_HEADER = 8 * 2**20  # bytes of the largest header; that of the bundled mode
 
 
 class TensorFile:
-    """An open safetensors file.
-
-    Attributes:
-        metadata: the JSON document under the file's key; {} if there is none.
-        found: type and shape of every tensor by name.
-    """
+    """An open safetensors file: a JSON document, {} if there is none, and type and shape of every tensor by name."""
 
     def __init__(self, where: str, file: Any, key: str) -> None:
         self._file = file
@@ -61,7 +56,6 @@ def open_tensors(path: str | Path, key: str, what: str, limit: int) -> Iterator[
 
     Args:
         what: the expected kind of file, for messages, such as "a motionkit model".
-        limit: largest size in bytes.
 
     Raises:
         ModelError: if it is not a safetensors file, is larger than limit, or is not a regular file.

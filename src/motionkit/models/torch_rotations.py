@@ -97,8 +97,7 @@ def decode_rotations(
 ) -> Tensor:
     """Return local rotations (..., 1 + N, 4) of the root and of N joints, the other 22 by default.
 
-    Args:
-        features: (..., 276) unnormalised. The root's rotation is relative to its heading.
+    features (..., 276) are unnormalised. The root's rotation is relative to its heading.
     """
     columns = feature_layout(layout)
     root = features[..., columns.blocks["root_rotation"]]

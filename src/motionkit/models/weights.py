@@ -20,8 +20,6 @@ class NetworkWeights:
     """The parameters of a network.
 
     Attributes:
-        config: sizes and choices of the network.
-        control_size: length of its control vector.
         arrays: float32 parameters by their names in the network.
     """
 

@@ -38,7 +38,7 @@ from motionkit.motion.rotations import (
 )
 from motionkit.motion.skeleton import Skeleton
 from motionkit.names import nfc
-from motionkit.reading import tell, told_cm
+from motionkit.reading import report_notes, user_cm
 
 RATE = 120.0  # frames per second of the CMU database; motion files rarely say theirs
 INCH = 2.54  # cm; lengths are inches times the length of the skeleton's units
@@ -81,7 +81,7 @@ class _Skeleton:
     @property
     def cm(self) -> float:
         """cm per unit of the file; 1 if it names no unit, or the user does."""
-        return 1.0 if self.length == 1.0 or told_cm() is not None else INCH / self.length
+        return 1.0 if self.length == 1.0 or user_cm() is not None else INCH / self.length
 
 
 def read_acclaim(path: str | Path) -> BvhFile:
@@ -102,7 +102,7 @@ def read_acclaim(path: str | Path) -> BvhFile:
         count = columns[name].stop
     values, rate = _read_motion(path, skeleton, columns, notes)
     unsaid = f"{RATE:g} frames a second, because the file does not say its rate"
-    tell(path, notes.lines if rate else (*notes.lines, unsaid))
+    report_notes(path, notes.lines if rate else (*notes.lines, unsaid))
     return _file(skeleton, values, rate or RATE, columns)
 
 
@@ -161,7 +161,7 @@ def _read_skeleton(path: str | Path) -> _Skeleton:
             _children(out, words, number, path)
     if len(out.parents) < 2:
         raise BvhError(path, "expected an ASF file with :bonedata and :hierarchy, found no bones", len(lines))
-    tell(path, notes.lines)
+    report_notes(path, notes.lines)
     out.parents = _depth_first(out.parents)
     left = len(out.bones) - len(out.parents)
     if left:
@@ -227,8 +227,8 @@ def _bone(out: _Skeleton, block: _Block, words: list[str], line: int, notes: Not
         raise BvhError(notes.path, f"expected a name of its own for a bone, found {called[:40]!r}", at)
     if len(out.bones) >= MAX_JOINTS:
         raise BvhError(notes.path, f"more than {MAX_JOINTS} bones", at)
-    way, length = (block.words.get(word, ([], line)) for word in ("direction", "length"))
-    direction = _numbers(way[0], 3, way[1], f"the direction of {called}", notes)
+    entry, length = (block.words.get(word, ([], line)) for word in ("direction", "length"))
+    direction = _numbers(entry[0], 3, entry[1], f"the direction of {called}", notes)
     size = float(np.linalg.norm(direction))
     reach = _numbers(length[0], 1, length[1], f"the length of {called}", notes)
     axis, dof = block.words.get("axis", (["0", "0", "0", "XYZ"], line)), block.words.get("dof", ([], line))
@@ -300,7 +300,7 @@ def _read_motion(
     rate, usual = 0.0, 0
     rows: list[list[float]] = []
     places: list[int] = []  # the line of each frame
-    said: dict[str, int] = {}  # line of each bone of the present frame
+    lines_of_bones: dict[str, int] = {}  # line of each bone of the present frame
     for number, line in enumerate(lines, 1):
         words = line.split()
         if not words:
@@ -311,30 +311,30 @@ def _read_motion(
             if key == ":samples-per-second":
                 rate = _rate(words[1:], number, notes)
         elif len(words) == 1 and _FRAME.fullmatch(key):
-            usual, said = max(usual, len(said)), {}
+            usual, lines_of_bones = max(usual, len(lines_of_bones)), {}
             rows.append([float("nan")] * len(channels))
             places.append(number)
         else:
             try:
-                _row(rows, said, words, columns, number, notes)
+                _row(rows, lines_of_bones, words, columns, number, notes)
             except BvhError:
                 if number < last or len(rows) < 2 or notes.strict:
                     raise
     if not rows:
         raise BvhError(path, "expected an AMC file with numbered frames, found none", last)
-    if len(rows) > 1 and len(said) < usual:
+    if len(rows) > 1 and len(lines_of_bones) < usual:
         fault = "the last frame lacks bones; the file is truncated"
-        notes.settle("cut frame", "at the end left out", fault, places[-1])
+        notes.repaired("cut frame", "at the end left out", fault, places[-1])
         rows = rows[:-1]
     if "length" in channels:
         fault = "bones that change their length cannot be read"
-        notes.settle("channel", "of a bone's length left out", fault, places[0], channels.count("length"))
+        notes.repaired("channel", "of a bone's length left out", fault, places[0], channels.count("length"))
     return _checked(rows, channels, places, rate or RATE, notes), rate
 
 
 def _row(
     rows: list[list[float]],
-    said: dict[str, int],
+    lines_of_bones: dict[str, int],
     words: list[str],
     columns: dict[str, range],
     line: int,
@@ -347,11 +347,13 @@ def _row(
         raise BvhError(notes.path, f"the skeleton has no bone {name[:40]!r}", line)
     if not rows:
         raise BvhError(notes.path, f"expected the number of a frame, found {words[0][:40]!r}", line)
-    if name in said:
-        raise BvhError(notes.path, f"{name} is given twice in a frame, first on line {said[name]}", line)
+    if name in lines_of_bones:
+        raise BvhError(
+            notes.path, f"{name} is given twice in a frame, first on line {lines_of_bones[name]}", line
+        )
     if len(words) - 1 != len(place):
         raise BvhError(notes.path, f"expected {len(place)} values for {name}, found {len(words) - 1}", line)
-    said[name] = line
+    lines_of_bones[name] = line
     rows[-1][place.start : place.stop] = floats(words[1:], line, name, notes, unknown=True)
 
 
@@ -398,13 +400,16 @@ def _file(skeleton: _Skeleton, values: Doubles, rate: float, columns: dict[str, 
                 for channel, column in zip(bone.channels, columns[name], strict=True)
                 if channel.endswith(kind)
             ]
-            order, own = "".join(axis for axis, _ in picked), values[:, [column for _, column in picked]]
+            order, picked_values = (
+                "".join(axis for axis, _ in picked),
+                values[:, [column for _, column in picked]],
+            )
             if kind == "rotation":
-                turned = quat_multiply(bone.axes, _turn(own, order, skeleton.degrees))
+                turned = quat_multiply(bone.axes, _turn(picked_values, order, skeleton.degrees))
                 turns[:, joint] = quat_multiply(turned, quat_inverse(bone.axes))
             else:
                 moved = np.zeros((len(values), 3))
-                moved[:, ["XYZ".index(axis) for axis in order]] = own
+                moved[:, ["XYZ".index(axis) for axis in order]] = picked_values
                 places[:, joint] += quat_rotate(bone.axes, moved) if joint else moved
     motion = Motion(
         Skeleton(names, parents, offsets.astype(np.float32), ends),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,8 +41,8 @@ class BvhFile:
         channels: the channel names of each joint, in file order.
         values: (T, C) the motion block in degrees and file units; C counts the channels of all joints.
         frame_time: seconds per frame, as declared.
-        hierarchy: text to write as the hierarchy section, in place of one made from skeleton and channels; None in a
-            file from read_bvh.
+        hierarchy: text of the hierarchy section, as it was read and as it is written; None to make one from skeleton
+            and channels, also where the text had to be repaired.
         humanoid: canonical limb joints, hips and head to joint indices, where the file itself says so (VRM).
     """
 
@@ -57,6 +58,16 @@ class BvhFile:
         """The declared frame rate, without the rounding of the frame time (nominal_rate)."""
         return nominal_rate(1.0 / self.frame_time)
 
+    def picked(self, joints: Sequence[int]) -> BvhFile:
+        """Some joints, with the parents of each, in another order, with their channels and values."""
+        columns = self.columns()
+        return BvhFile(
+            self.skeleton.picked(joints),
+            tuple(self.channels[joint] for joint in joints),
+            self.values[:, [column for joint in joints for column in columns[joint]]],
+            self.frame_time,
+        )
+
     def columns(self) -> list[range]:
         """The columns of each joint in values."""
         out, start = [], 0
@@ -69,7 +80,7 @@ class BvhFile:
 def read_bvh(path: str | Path) -> BvhFile:
     """Read a BVH file; raises BvhError, naming file and line, if it is invalid.
 
-    What had to be settled is told as reading.py says.
+    Repairs are reported as reading.py says.
     """
     import bvhio  # a local import, because it takes a quarter of a second
 
@@ -99,7 +110,7 @@ def read_bvh(path: str | Path) -> BvhFile:
             ends[index] = tuple(joint.EndSite)
         waiting.extend((child, index) for child in reversed(joint.Children))
     skeleton = Skeleton(tuple(names), tuple(parents), np.array(offsets, np.float32), ends)
-    bvh = BvhFile(skeleton, tuple(channels), text.values, text.frame_time)
+    bvh = BvhFile(skeleton, tuple(channels), text.values, text.frame_time, text.hierarchy)
     _check_places(path, bvh)
     return bvh
 
@@ -121,10 +132,10 @@ def _check_places(path: str | Path, bvh: BvhFile) -> None:
         < WORLD_SHARE * np.median(np.linalg.norm(place - bvh.skeleton.offsets[joint], axis=1))
     ]
     if found:
-        told = ", ".join(bvh.skeleton.names[joint] for joint in found[:3])
+        listed = ", ".join(bvh.skeleton.names[joint] for joint in found[:3])
         raise BvhError(
             path,
-            f"the position channels of {told} hold places in the world (as Vicon writes segments), expected places "
+            f"the position channels of {listed} hold places in the world (as Vicon writes segments), expected places "
             "relative to the parent; export the file with positions of the root alone",
         )
 
@@ -172,16 +183,11 @@ def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None =
     orders = ["".join(name[0] for name in names if name.endswith("rotation")) for names in channels]
     eulers = _unrolled_eulers(motion, orders)
     blocks: list[Array] = []
+    places = motion.translations()
     for joint, names in enumerate(channels):
-        if joint == 0:
-            place = motion.root_positions
-        elif motion.local_positions is not None:
-            place = motion.local_positions[:, joint]
-        else:
-            place = np.broadcast_to(motion.skeleton.offsets[joint], (len(motion), 3))
         for name in names:
             if name.endswith("position"):
-                blocks.append(place[:, "XYZ".index(name[0])].astype(np.float64))
+                blocks.append(places[:, joint, "XYZ".index(name[0])].astype(np.float64))
             else:
                 blocks.append(eulers[:, joint, orders[joint].index(name[0])])
     values = np.stack(blocks, axis=-1)
@@ -268,21 +274,7 @@ def _depth_first(bvh: BvhFile) -> BvhFile:
         joint = waiting.pop()
         order.append(joint)
         waiting.extend(reversed(skeleton.children(joint)))
-    if order == list(range(len(skeleton))):
-        return bvh
-    place = {joint: i for i, joint in enumerate(order)}
-    columns = bvh.columns()
-    return BvhFile(
-        Skeleton(
-            tuple(skeleton.names[j] for j in order),
-            tuple(place.get(skeleton.parents[j], -1) for j in order),
-            skeleton.offsets[order],
-            {place[j]: end for j, end in skeleton.end_sites.items()},
-        ),
-        tuple(bvh.channels[j] for j in order),
-        bvh.values[:, [column for j in order for column in columns[j]]],
-        bvh.frame_time,
-    )
+    return bvh if order == list(range(len(skeleton))) else bvh.picked(order)
 
 
 def _scaled_file(bvh: BvhFile, scale: float) -> BvhFile:

@@ -1,4 +1,4 @@
-"""The numbers of a BVH file: its motion block, and what is settled in it."""
+"""The numbers of a BVH file: its motion block, and what is repaired in it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from motionkit.reading import strictly
 # any unit, and results stay far within the range of float32.
 MAX_NUMBER = 1e7
 MOST_UNKNOWN = 0.5  # share of all values that may be no numbers
-SCALED = 0.01  # deviation from 1 above which scale channels that are left out are said to matter
+SCALED = 0.01  # deviation from 1 above which scale channels that are left out are reported
 _AT_ONCE = 1000  # rows whose words are counted at a time, which takes 20 times the memory of their text
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 # As C libraries write values that are no numbers: nan, -nan(ind), -1.#IND00, 1.#QNAN.
@@ -25,14 +25,14 @@ _NO_NUMBER = re.compile(r"[-+]?(?:nan(?:\(\w*\))?|1[.,]#(?:ind|qnan|snan|inf)\d*
 
 
 class Notes:
-    """What was settled in a file; reading strictly raises the fault instead."""
+    """What was repaired in a file; reading strictly raises the fault instead."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = path
         self.strict = strictly()
         self._counts: dict[tuple[str, str], int] = {}
 
-    def settle(self, noun: str, done: str, fault: str, line: int, count: int = 1) -> None:
+    def repaired(self, noun: str, done: str, fault: str, line: int, count: int = 1) -> None:
         """Note what was done to how many things, or raise BvhError with the fault."""
         if self.strict:
             raise BvhError(self.path, fault, line)
@@ -55,7 +55,7 @@ def floats(words: list[str], line: int, what: str, notes: Notes, unknown: bool =
             if unknown and not notes.strict and _NO_NUMBER.fullmatch(word):
                 number = float("nan")
             elif _DECIMAL_COMMA.fullmatch(word):
-                notes.settle("number", "with a decimal comma", fault, line)
+                notes.repaired("number", "with a decimal comma", fault, line)
                 number = float(word.replace(",", "."))
             else:
                 raise BvhError(notes.path, fault, line) from None
@@ -71,20 +71,13 @@ def read_rows(
 ) -> NDArray[np.float64]:
     """The motion block (T, C), finite; T is 0 only for a file that declares no frames and has none.
 
-    Args:
-        lines: the file.
-        first: index of the line after the frame time.
-        frames: declared number of frames.
-        channels: names of the C channels.
-        notes: what was settled.
-
-    Raises:
-        BvhError: a row or a value that cannot be read.
+    The lines are those of the file, `first` the index of the one after the frame time. Raises BvhError for a row or a
+    value that cannot be read.
     """
     rows = [i for i in range(first, len(lines)) if lines[i].strip()]
     if not rows and frames == 0:
         if first < len(lines):
-            notes.settle("frame", "of the rest pose, because the file has no motion", "", first)
+            notes.repaired("frame", "of the rest pose, because the file has no motion", "", first)
         return np.zeros((0, len(channels)))
     rows, wrapped = _whole_rows(lines, rows, first, frames, len(channels), notes)
     if wrapped:
@@ -103,7 +96,7 @@ def read_rows(
     scales = values[:, [name.endswith("scale") for name in channels]]
     if scales.size and np.abs(scales - 1.0).max() > SCALED:
         far = int((np.abs(scales - 1.0) > SCALED).any(axis=1).sum())
-        notes.settle("frame", "whose scale is not 1 left unscaled", "", first, far)
+        notes.repaired("frame", "whose scale is not 1 left unscaled", "", first, far)
     return values
 
 
@@ -115,23 +108,23 @@ def _whole_rows(
     counts = _words_per_line(lines, rows)
     wrong = np.flatnonzero(counts != channels)
     if wrong.size and counts.sum() == channels * frames and not notes.strict:
-        notes.settle("frame", f"put together from {len(rows)} lines", "", first, frames)
+        notes.repaired("frame", f"put together from {len(rows)} lines", "", first, frames)
         return rows, True
     cut = len(rows) > 1 and wrong.tolist() == [len(rows) - 1] and counts[-1] < channels
     if len(rows) < frames and not (cut and len(rows) == frames):
         fault, last = f"{has}; the file is truncated", rows[-1] + 1 if rows else first
         if not rows:
             raise BvhError(notes.path, fault, last)
-        notes.settle("frame", f"instead of the declared {frames}", fault, last, len(rows) - cut)
+        notes.repaired("frame", f"instead of the declared {frames}", fault, last, len(rows) - cut)
     elif len(rows) > frames:
-        notes.settle("frame", f"instead of the declared {frames}", has, rows[frames] + 1, len(rows) - cut)
+        notes.repaired("frame", f"instead of the declared {frames}", has, rows[frames] + 1, len(rows) - cut)
     if wrong.size:
         row = int(wrong[0])
         tail = "; the file is truncated" if row == frames - 1 and counts[row] < channels else ""
         fault = f"expected {channels} values in frame {row}, found {int(counts[row])}{tail}"
         if not cut:
             raise BvhError(notes.path, fault, rows[row] + 1)
-        notes.settle("cut frame", "at the end left out", fault, rows[row] + 1)
+        notes.repaired("cut frame", "at the end left out", fault, rows[row] + 1)
         rows = rows[:-1]
     return rows, False
 
@@ -143,8 +136,8 @@ def implausible_value(values: NDArray[np.float64]) -> tuple[int, str] | None:
     row = int(np.flatnonzero(~(np.abs(values) <= MAX_NUMBER).all(axis=1))[0])
     column = int(np.flatnonzero(~(np.abs(values[row]) <= MAX_NUMBER))[0])
     number = values[row, column]
-    wanted = f"a number up to {MAX_NUMBER:,.0f}" if np.isfinite(number) else "a finite number"
-    return row, f"value {column + 1} of frame {row} is {number:g}, expected {wanted}"
+    expected = f"a number up to {MAX_NUMBER:,.0f}" if np.isfinite(number) else "a finite number"
+    return row, f"value {column + 1} of frame {row} is {number:g}, expected {expected}"
 
 
 def filled(values: NDArray[np.float64], channels: list[str], notes: Notes) -> NDArray[np.float64]:
@@ -162,15 +155,15 @@ def filled(values: NDArray[np.float64], channels: list[str], notes: Notes) -> ND
         here = known[:, column]
         if here.any():
             angle = channels[column].endswith("rotation")
-            told = values[here, column]
-            told = np.unwrap(told, period=360.0) if angle else told
-            values[~here, column] = np.interp(times[~here], times[here], told)
+            known_values = values[here, column]
+            known_values = np.unwrap(known_values, period=360.0) if angle else known_values
+            values[~here, column] = np.interp(times[~here], times[here], known_values)
     whole = ~known.any(axis=0)
     between = int((~known[:, ~whole]).sum())
     if between:
-        notes.settle("value", "without a number filled from neighbouring frames", "", 1, between)
+        notes.repaired("value", "without a number filled from neighbouring frames", "", 1, between)
     if whole.any():
-        notes.settle("channel", "without any number set to zero", "", 1, int(whole.sum()))
+        notes.repaired("channel", "without any number set to zero", "", 1, int(whole.sum()))
     return values
 
 

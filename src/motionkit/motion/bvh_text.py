@@ -1,7 +1,7 @@
 """Checks the text of a BVH file before it is parsed, so that every error has a line number.
 
 It checks the grammar of the hierarchy without recursion, rewrites the hierarchy in normal form, and reads the motion
-block (bvh_rows.py). The output is safe to pass to bvhio and numpy. Faults that do not hide what was meant are settled
+block (bvh_rows.py). The output is safe to pass to bvhio and numpy. Faults that do not hide what was meant are repaired
 and noted, unless files are read strictly (reading.py).
 """
 
@@ -20,7 +20,7 @@ from motionkit.files import check_regular, read_bytes
 from motionkit.free_memory import check_memory, check_text
 from motionkit.motion.bvh_rows import Notes, floats, read_rows
 from motionkit.motion.motion import longest_seconds
-from motionkit.reading import tell
+from motionkit.reading import report_notes
 
 MAX_BYTES = 512 * 2**20
 MAX_DEPTH = 200
@@ -44,13 +44,11 @@ class BvhText:
 
     The header calls the joints j0, j1, ... in file order, because unusual names (with spaces, in Latin-1) may confuse
     the parser; `names` holds the real names. `hierarchy` is the unchanged text of the hierarchy section, None if
-    something had to be settled in it.
+    something had to be repaired in it.
     """
 
     header: str
     names: tuple[str, ...]
-    channel_count: int
-    frames: int
     frame_time: float
     values: NDArray[np.float64]
     hierarchy: str | None
@@ -77,7 +75,7 @@ def read_bvh_text(path: str | Path) -> BvhText:
     lines = _read_lines(path, notes)
     motion_line = _find_motion(path, lines, notes)
     trees = _check_hierarchy(path, lines, motion_line, notes)
-    hierarchy = None if notes.lines else _hierarchy(lines, motion_line)
+    hierarchy = None if notes.lines else "\n".join(lines[:motion_line]) + "\n"
     columns = [column for tree in trees for column in tree.columns]
     frames, frame_time, first_row = _check_motion_header(path, lines, motion_line, notes)
     try:
@@ -91,27 +89,11 @@ def read_bvh_text(path: str | Path) -> BvhText:
         values = np.array([[rest for _, rest in columns]])
     check_duration(path, len(values), frame_time, first_row)
     tree = max(trees, key=lambda tree: len(tree.names))
-    kept = [own is tree and name.lower() not in SCALES for own in trees for name, _ in own.columns]
-    tell(path, notes.lines)
+    kept = [chosen is tree and name.lower() not in SCALES for chosen in trees for name, _ in chosen.columns]
+    report_notes(path, notes.lines)
     header = "\n".join(tree.out) + f"\nMOTION\nFrames: {len(values)}\nFrame Time: {frame_time!r}\n"
     values = values if all(kept) else values[:, kept]
-    return BvhText(header, tuple(tree.names), sum(kept), len(values), frame_time, values, hierarchy)
-
-
-def read_hierarchy(path: str | Path) -> str | None:
-    """The unchanged text of a BVH file's hierarchy section, None if something had to be settled in it.
-
-    Raises BvhError as read_bvh_text does.
-    """
-    notes = Notes(path)
-    lines = _read_lines(path, notes)
-    motion_line = _find_motion(path, lines, notes)
-    _check_hierarchy(path, lines, motion_line, notes)
-    return None if notes.lines else _hierarchy(lines, motion_line)
-
-
-def _hierarchy(lines: list[str], motion_line: int) -> str:
-    return "\n".join(lines[:motion_line]) + "\n"
+    return BvhText(header, tuple(tree.names), frame_time, values, hierarchy)
 
 
 def _read_lines(path: str | Path, notes: Notes) -> list[str]:
@@ -123,7 +105,7 @@ def _read_lines(path: str | Path, notes: Notes) -> list[str]:
     kept = ["" if line.lstrip().startswith(COMMENTS) else line for line in lines]
     removed = sum(line != old for line, old in zip(kept, lines, strict=True))
     if removed:
-        notes.settle("comment line", "left out", "", 1, removed)
+        notes.repaired("comment line", "left out", "", 1, removed)
     if not any(line.strip() for line in kept):
         raise BvhError(path, "is empty, expected a BVH file that starts with HIERARCHY", 1)
     return kept
@@ -266,7 +248,7 @@ class _HierarchyWalk:
             fault = f"expected 3 numbers after OFFSET of {node['label']}, found {len(words)}"
             if len(words) != 6:
                 raise self.fail(fault, line)
-            self.notes.settle("OFFSET", "of six numbers cut to the first three", fault, line)
+            self.notes.repaired("OFFSET", "of six numbers cut to the first three", fault, line)
         numbers = floats(words, line, f"OFFSET of {node['label']}", self.notes)[:3]
         node["offset"] = numbers
         self.out.append("OFFSET " + " ".join(repr(number) for number in numbers))
@@ -291,7 +273,7 @@ class _HierarchyWalk:
                 fault = f"unknown channel {word[:40]!r} of {node['label']}"
                 if word.lower() not in SCALES:
                     raise self.fail(fault, line)
-                self.notes.settle("scale channel", "left out", fault, line)
+                self.notes.repaired("scale channel", "left out", fault, line)
             names.append(CHANNEL_NAMES.get(word.lower(), word.lower()))
         if len(set(names)) != len(names):
             raise self.fail(f"a channel of {node['label']} is listed twice", line)
@@ -358,7 +340,7 @@ def _check_hierarchy(path: str | Path, lines: list[str], motion_line: int, notes
     for tree in walk.trees:
         if tree is not largest:
             root = next(iter(tree.names))
-            notes.settle("joint", f"of the other root {root[:40]} left out", "", 1, len(tree.names))
+            notes.repaired("joint", f"of the other root {root[:40]} left out", "", 1, len(tree.names))
     return walk.trees
 
 
@@ -367,7 +349,7 @@ def _check_motion_header(
 ) -> tuple[int, float, int]:
     """Declared frames, frame time and the line after both."""
     if motion_line >= len(lines):
-        notes.settle("frame", "of the rest pose, because the file has no motion", "", motion_line)
+        notes.repaired("frame", "of the rest pose, because the file has no motion", "", motion_line)
         return 0, POSE_FRAME, motion_line
     filled = [i for i in range(motion_line + 1, min(len(lines), motion_line + 20)) if lines[i].strip()]
     frames_line = filled[0] if filled else motion_line + 1

@@ -18,9 +18,7 @@ _FILTER = 2  # frames at 60 fps to both sides in the majority vote, which remove
 def foot_contacts(global_positions: Array, fps: float) -> Array:
     """Contact labels (T, 4), 0 or 1, of left foot, left toe, right foot, right toe.
 
-    Args:
-        global_positions: (T, 23, 3) positions of the canonical joints in cm, the floor at height zero.
-        fps: frames per second.
+    global_positions (T, 23, 3) are those of the canonical joints in cm, the floor at height zero.
     """
     feet = global_positions[:, list(FOOT_JOINTS)]
     if len(feet) < 2:

@@ -38,14 +38,8 @@ def foot_positions(global_positions: Array) -> Array:
 def floor_height(feet: Array, fps: float = 60.0) -> float:
     """Floor height of a clip in cm: the lower quartile of the lowest foot joint's height while it stands.
 
-    This is the height of the joints, not of the soles below them.
-
-    Args:
-        feet: (T, 4, 3) foot joints in cm.
-        fps: frames per second.
-
-    Raises:
-        MotionkitError: there are no frames.
+    This is the height of the joints (T, 4, 3), in cm, not of the soles below them. Raises MotionkitError without
+    frames.
     """
     if len(feet) == 0:
         raise MotionkitError("floor height needs at least 1 frame, found 0")
@@ -55,8 +49,8 @@ def floor_height(feet: Array, fps: float = 60.0) -> float:
     if len(feet) < 2:
         return float(lowest[0])
     still = joint_speeds(feet, fps)[np.arange(len(feet)), foot] < STILL_SPEED
-    stands = int(still.sum()) >= STANCE_FRAMES
-    heights, quantile = (lowest[still], STANCE_QUANTILE) if stands else (lowest, LOWEST_QUANTILE)
+    enough_still = int(still.sum()) >= STANCE_FRAMES
+    heights, quantile = (lowest[still], STANCE_QUANTILE) if enough_still else (lowest, LOWEST_QUANTILE)
     return float(np.sort(heights)[int(quantile * (len(heights) - 1))])
 
 

@@ -18,11 +18,7 @@ def frames_at(count: float, fps: float) -> int:
 
 
 def nominal_rate(rate: float) -> float:
-    """The exact rate for a measured one: an NTSC rate, a whole number, or the measured rate itself.
-
-    Args:
-        rate: frames a second, above 0.
-    """
+    """The exact rate for a measured one above 0: an NTSC rate, a whole number, or the measured rate itself."""
     whole = round(rate)
     if whole in (24, 30, 60, 120) and abs(rate - NTSC * whole) < NTSC_WITHIN * rate:
         return NTSC * whole

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.arrays import Array, cross, length, normalized
-from motionkit.motion.rotations import quat_between, quat_inverse, quat_multiply, quat_rotate
+from motionkit.motion.rotations import quat_about, quat_between, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
 
 
@@ -34,10 +34,10 @@ class LockSettings:
 
     contact_on: float = 0.3
     contact_off: float = 0.2
-    ease_frames: int = 8
+    ease_frames: int = 12
     brake_frames: int = 4
-    max_slide: float = 12.0
-    max_wait: float = 2.0
+    max_slide: float = 20.0
+    max_wait: float = 1.6
     step_frames: float = 16.0
     step_height: float = 6.0
     max_reach: float = 0.999
@@ -53,7 +53,7 @@ class ToeSettings:
     Attributes:
         standing, slack: a toe in contact is within slack of the standing height.
         lowest: least height of a free toe that does not move.
-        swing: least height of a free toe that moves at `fast` or faster. The limit is linear in between, and 5 % of the
+        swing: least height of a free toe that moves at `fast` or faster. The limit is linear in between, and 8 % of the
             recorded toes are lower.
         fast: speed over the ground in cm per frame; see swing.
         rise, fall: share of the gap by which a toe rises or falls per frame.
@@ -61,10 +61,10 @@ class ToeSettings:
     """
 
     standing: float = STANDING_HEIGHTS[1]
-    slack: float = 1.0
+    slack: float = 0.7
     lowest: float = 2.0
-    swing: float = 5.4
-    fast: float = 3.5
+    swing: float = 6.2
+    fast: float = 3.0
     rise: float = 0.5
     fall: float = 0.2
     max_pitch: float = 0.2
@@ -111,19 +111,19 @@ ALIKE = 0.3
 # that is bent forwards already.
 STRAIGHTENING = 1.5
 BACKWARDS = 0.002  # sine of the angle above which a knee counts as bent backwards
+SOLE_PACE = (
+    0.3  # share of the gap by which a live sole in contact comes to the floor per frame, and toes bend back
+)
 STEEP = 0.5  # horizontal share of a foot's length below which the foot pitches less
 # The side of the thigh (-x in its own frame), about which a knee bends.
 _SIDE = np.array([-1.0, 0.0, 0.0], np.float32)
 
 
 def lowest_free(steps: Array, scale: Array | float = 1.0) -> Array:
-    """Least heights (...) in cm of free toes, by their speed over the ground.
+    """Least heights (...) in cm of free toes, by their speed over the ground (...) in cm per frame.
 
-    Recorded toes that move are higher than standing ones. A low foot that moves looks like a sliding foot.
-
-    Args:
-        steps: (...) in cm per frame.
-        scale: (...) size of each body relative to the canonical one.
+    Recorded toes that move are higher than standing ones. A low foot that moves looks like a sliding foot. scale is the
+    size of each body relative to the canonical one.
     """
     share = np.minimum(steps / (TOE.fast * scale), 1.0)
     return (TOE.lowest + (TOE.swing - TOE.lowest) * share) * scale
@@ -147,7 +147,7 @@ def pitched_feet(positions: Array, shifts: Array) -> tuple[Array, Array]:
     angle = np.clip(then - now, -TOE.max_pitch, TOE.max_pitch) * np.clip(flat / (STEEP * size), 0.0, 1.0)
     axis = np.zeros_like(foot)  # horizontal, at right angles to the foot
     axis[..., 0], axis[..., 2] = -foot[..., 2], foot[..., 0]
-    pitch = _about(axis / np.maximum(flat, 1e-6)[..., None], angle)
+    pitch = quat_about(axis / np.maximum(flat, 1e-6)[..., None], angle)
     return pitch, shifts + foot - quat_rotate(pitch, foot)
 
 
@@ -190,9 +190,7 @@ def move_feet(rotations: Array, positions: Array, world: Array, pitch: Array, sh
 def knees_backwards(positions: Array, thighs: Array) -> Array:
     """Whether each knee (N, 2) is bent backwards; move_feet stretches such legs.
 
-    Args:
-        positions: (N, 23, 3) joint positions in cm.
-        thighs: (N, 2, 3, 3) world rotations of the joints HIPS.
+    positions (N, 23, 3) are those of joints in cm, thighs (N, 2, 3, 3) world rotations of the joints HIPS.
     """
     hips, knees, ankles, _ = (positions[:, joints] for joints in LEG_JOINTS)
     return _backwards(hips, knees, ankles, np.matmul(thighs, _SIDE))
@@ -263,9 +261,9 @@ def leg_turns(hips: Array, knees: Array, ankles: Array, side: Array, targets: Ar
     flexed = np.arctan2(c, b)  # negative for a knee bent backwards
     size = np.maximum(np.sqrt(b * b + c * c), 1e-9)
     half = np.sin(0.5 * flexed) ** 2 - change / (4.0 * size)
-    wanted = 2.0 * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0)))
-    eased = np.clip(flexed + STRAIGHTENING * (wanted + flexed), 0.0, wanted)
-    opened = _about(axis, flexed - np.where(flexed < 0.0, eased, wanted))
+    target = 2.0 * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0)))
+    eased = np.clip(flexed + STRAIGHTENING * (target + flexed), 0.0, target)
+    opened = quat_about(axis, flexed - np.where(flexed < 0.0, eased, target))
     bent = thigh + quat_rotate(opened, shin)
     return quat_between(bent, targets - hips), opened
 
@@ -283,12 +281,6 @@ def _knee_axis(thigh: Array, shin: Array, side: Array) -> Array:
     axis = np.clip(alike / ALIKE, -1.0, 1.0)[..., None] * axis  # reversed for a knee bent backwards
     share = THIGH_SHARE * np.clip(1.0 - length(axis) / BENT, 0.0, 1.0)
     return normalized(axis + share[..., None] * side)
-
-
-def _about(axis: Array, angle: Array) -> Array:
-    """Rotations (..., 4) by angles (...) in radians about unit axes (..., 3)."""
-    half = 0.5 * angle[..., None]
-    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
 
 
 def _inside(into: Array, quat: Array) -> Array:

@@ -1,10 +1,10 @@
-"""Mirrors a motion on its own skeleton, by a plan of twin joints and reflections (rig/mirror.py).
+"""Mirrors a motion on its own skeleton, by a plan of opposite joints and reflections (rig/mirror.py).
 
 The world is reflected in a vertical plane through the origin. The frame of each joint becomes the mirror image of its
-twin's frame. That image is left-handed, so it is reflected again, by signs of the joint. With the reflection M of the
-world and R(j) = diag(+-1, +-1, +-1) of determinant -1, the mirrored global rotation of joint j is M G(twin) R(j), and
-its local rotation is R(parent) L(twin) R(j). If the signs map the bones of one side to those of the other, and both
-sides have equal lengths, all positions are mirrored exactly.
+opposite's frame. That image is left-handed, so it is reflected again, by signs of the joint. With the reflection M of
+the world and R(j) = diag(+-1, +-1, +-1) of determinant -1, the mirrored global rotation of joint j with opposite o is
+M G(o) R(j), and its local rotation is R(parent) L(o) R(j). If the signs map the bones of one side to those of the
+other, and both sides have equal lengths, all positions are mirrored exactly.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ REFLECTIONS: tuple[Signs, ...] = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0,
 
 @dataclass(frozen=True)
 class MirrorPlan:
-    """How to mirror a rig: the twin and the reflection of each joint, and the reflection of the world."""
+    """How to mirror a rig: the opposite and the reflection of each joint, and the reflection of the world."""
 
-    twins: tuple[int, ...]
+    opposites: tuple[int, ...]
     world: Signs
     joints: tuple[Signs, ...]
 
@@ -42,16 +42,18 @@ class MirrorPlan:
 
 def mirrored(motion: Motion, plan: MirrorPlan) -> Motion:
     """Swap left and right of a motion on the same skeleton, and reflect the world, by a plan."""
-    skeleton, twins = motion.skeleton, plan.twins
+    skeleton, opposites = motion.skeleton, plan.opposites
     rotations = [
-        reflect_rotations(motion.local_rotations[:, twin], plan.outer(skeleton, joint), plan.joints[joint])
-        for joint, twin in enumerate(twins)
+        reflect_rotations(
+            motion.local_rotations[:, opposite], plan.outer(skeleton, joint), plan.joints[joint]
+        )
+        for joint, opposite in enumerate(opposites)
     ]
     world = np.array(plan.world, motion.root_positions.dtype)
     places = motion.local_positions
     if places is not None:
-        signs = np.array([plan.outer(skeleton, j) for j in range(len(twins))], places.dtype)
-        places = places[:, list(twins)] * signs
+        signs = np.array([plan.outer(skeleton, j) for j in range(len(opposites))], places.dtype)
+        places = places[:, list(opposites)] * signs
     return replace(
         motion,
         local_rotations=np.stack(rotations, axis=1),
@@ -63,37 +65,37 @@ def mirrored(motion: Motion, plan: MirrorPlan) -> Motion:
 def mirrored_bvh(bvh: BvhFile, plan: MirrorPlan) -> BvhFile:
     """Swap left and right of a BVH file, with the same hierarchy and channels.
 
-    If twins have their channels in the same order, angles only change signs or shift by half turns. So mirroring twice
+    If both sides have their channels in one order, angles only change signs or shift by half turns. So mirroring twice
     restores the file.
 
     Raises:
-        SkeletonError: twins have different channels.
+        SkeletonError: opposite joints have different channels.
     """
     columns = bvh.columns()
     values = np.empty_like(bvh.values)
     rebuilt: BvhFile | None = None
-    for joint, twin in enumerate(plan.twins):
-        names, twin_names = bvh.channels[joint], bvh.channels[twin]
-        _check_channels(bvh, joint, twin)
+    for joint, opposite in enumerate(plan.opposites):
+        names, opposite_names = bvh.channels[joint], bvh.channels[opposite]
+        _check_channels(bvh, joint, opposite)
         outer = plan.outer(bvh.skeleton, joint)
-        source = dict(zip(twin_names, columns[twin], strict=True))
+        source = dict(zip(opposite_names, columns[opposite], strict=True))
         for name, column in zip(names, columns[joint], strict=True):
             if name.endswith("position"):
                 values[:, column] = outer["XYZ".index(name[0])] * bvh.values[:, source[name]]
-        own = [c for n, c in zip(names, columns[joint], strict=True) if n.endswith("rotation")]
-        theirs = [c for n, c in zip(twin_names, columns[twin], strict=True) if n.endswith("rotation")]
+        mine = [c for n, c in zip(names, columns[joint], strict=True) if n.endswith("rotation")]
+        theirs = [c for n, c in zip(opposite_names, columns[opposite], strict=True) if n.endswith("rotation")]
         order = _rotation_order(names)
-        if order == _rotation_order(twin_names):
+        if order == _rotation_order(opposite_names):
             turned = _reflect_angles(bvh.values[:, theirs], order, outer, plan.joints[joint])
             if turned is None:
                 raise SkeletonError(
                     f"{bvh.skeleton.names[joint]} has only the rotation channels {order or 'none'}; "
                     "its mirror image needs all three"
                 )
-            values[:, own] = turned
+            values[:, mine] = turned
         else:
             rebuilt = rebuilt or motion_to_bvh(mirrored(bvh_to_motion(bvh), plan), bvh.channels)
-            values[:, own] = rebuilt.values[:, own]
+            values[:, mine] = rebuilt.values[:, mine]
     return replace(bvh, values=values)
 
 
@@ -101,13 +103,13 @@ def _rotation_order(channels: tuple[str, ...]) -> str:
     return "".join(name[0] for name in channels if name.endswith("rotation"))
 
 
-def _check_channels(bvh: BvhFile, joint: int, twin: int) -> None:
-    own, other = bvh.channels[joint], bvh.channels[twin]
-    whole = len(_rotation_order(own)) == 3 or _rotation_order(own) == _rotation_order(other)
-    if set(own) != set(other) or not whole:
+def _check_channels(bvh: BvhFile, joint: int, opposite: int) -> None:
+    channels, other = bvh.channels[joint], bvh.channels[opposite]
+    whole = len(_rotation_order(channels)) == 3 or _rotation_order(channels) == _rotation_order(other)
+    if set(channels) != set(other) or not whole:
         names = bvh.skeleton.names
         raise SkeletonError(
-            f"{names[joint]} has the channels {' '.join(own) or 'none'} but {names[twin]} "
+            f"{names[joint]} has the channels {' '.join(channels) or 'none'} but {names[opposite]} "
             f"{' '.join(other) or 'none'}; mirroring needs the same on both sides"
         )
 

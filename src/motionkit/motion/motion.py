@@ -48,26 +48,33 @@ class Motion:
         away = np.abs(self.local_positions - self.skeleton.offsets).max(axis=(0, 2), initial=0.0)
         return [0, *(joint for joint in np.flatnonzero(away > 1e-5).tolist() if joint > 0)]
 
-    def cut(self, start: int, end: int) -> Motion:
-        """Frames start to end (exclusive), as a slice takes them."""
-        local = None if self.local_positions is None else self.local_positions[start:end]
+    def translations(self) -> Array:
+        """Local translations (T, J, 3) of all joints; the root's is its position in the world."""
+        still = np.broadcast_to(self.skeleton.offsets, (len(self), len(self.skeleton), 3))
+        places = np.array(still if self.local_positions is None else self.local_positions)
+        places = places.astype(self.root_positions.dtype, copy=False)
+        places[:, 0] = self.root_positions
+        return places
+
+    def cut(self, start: int, end: int, step: int = 1) -> Motion:
+        """Frames start to end (exclusive), or every so manieth of them, as a slice takes them."""
+        local = None if self.local_positions is None else self.local_positions[start:end:step]
         return replace(
             self,
-            local_rotations=self.local_rotations[start:end],
-            root_positions=self.root_positions[start:end],
+            local_rotations=self.local_rotations[start:end:step],
+            root_positions=self.root_positions[start:end:step],
             local_positions=local,
         )
 
-    def followed_by(self, after: Motion) -> Motion:
-        """This motion and then another one on the same joints, at the same rate."""
-        local = None
-        if self.local_positions is not None and after.local_positions is not None:
-            local = np.concatenate([self.local_positions, after.local_positions])
+    def followed_by(self, *after: Motion) -> Motion:
+        """This motion and then others on the same joints, at the same rate."""
+        every = (self, *after)
+        places = [each.local_positions for each in every if each.local_positions is not None]
         return replace(
             self,
-            local_rotations=np.concatenate([self.local_rotations, after.local_rotations]),
-            root_positions=np.concatenate([self.root_positions, after.root_positions]),
-            local_positions=local,
+            local_rotations=np.concatenate([each.local_rotations for each in every]),
+            root_positions=np.concatenate([each.root_positions for each in every]),
+            local_positions=np.concatenate(places) if len(places) == len(every) else None,
         )
 
     def scaled(self, factor: float) -> Motion:

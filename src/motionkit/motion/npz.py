@@ -32,7 +32,7 @@ from motionkit.motion.rotations import quat_normalize
 from motionkit.motion.skeleton import Skeleton
 from motionkit.motion.smpl import BODY, WIDTHS, smpl_motion
 from motionkit.names import joint_names
-from motionkit.reading import tell
+from motionkit.reading import report_notes
 
 RATE = 30.0  # frames per second of poses without one, as estimated from video
 _MOTION = ("local_rotations", "poses", "pose_body")  # one of which every archive of motion has
@@ -53,7 +53,7 @@ def read_npz(path: str | Path) -> BvhFile:
     """
     with _opened(path) as archive:
         if "local_rotations" in archive:
-            return motion_to_bvh(_own(archive))
+            return motion_to_bvh(_motionkit_motion(archive))
         return motion_to_bvh(_smpl(archive))
 
 
@@ -106,11 +106,11 @@ class _Archive:
         found, dtype = self.shape(name)
         fits = len(found) == len(shape) and all(w in (None, f) for w, f in zip(shape, found, strict=True))
         if not (fits or (shape == () and found == (1,))) or dtype.kind not in _KINDS[kind]:
-            wanted, given = (
+            expected, actual = (
                 " x ".join("any" if n is None else str(n) for n in size) for size in (shape, found)
             )
             raise self.fault(
-                f"expected {name!r} of {wanted or 'one'} {kind}s, found {given or 'one'} of type {dtype.name}"
+                f"expected {name!r} of {expected or 'one'} {kind}s, found {actual or 'one'} of type {dtype.name}"
             )
         with self.zip.open(f"{name}.npy") as file:
             values: Array = np.lib.format.read_array(file, allow_pickle=False)
@@ -168,8 +168,8 @@ def _opened(path: str | Path) -> Iterator[_Archive]:
             with zipfile.ZipFile(file) as archive:
                 yield _Archive(path, archive)
         except _FAULTS as error:
-            told = " ".join(str(error).split())[:200]
-            raise MotionkitError(f"{path}: cannot be read as a numpy archive ({told})") from None
+            reason = " ".join(str(error).split())[:200]
+            raise MotionkitError(f"{path}: cannot be read as a numpy archive ({reason})") from None
 
 
 def _header(file: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -208,11 +208,11 @@ def _smpl(archive: _Archive) -> Motion:
     left += ["fingers"] if poses.shape[1] > 3 * (BODY + 2) else []
     notes += [f"{' and '.join(left)} left out"] if left else []
     notes += [] if fps else [f"{RATE:g} frames a second, because the file does not say its rate"]
-    tell(archive.path, (*notes, *archive.notes.lines))
+    report_notes(archive.path, (*notes, *archive.notes.lines))
     return smpl_motion(poses, places, fps or RATE)
 
 
-def _own(archive: _Archive) -> Motion:
+def _motionkit_motion(archive: _Archive) -> Motion:
     """What export/tables.py writes."""
     names = archive.read("joints", (None,), "name")
     count = len(names)
@@ -237,7 +237,7 @@ def _own(archive: _Archive) -> Motion:
         ends = {joint: (*place,) for joint, place in zip(of, places.tolist(), strict=True)}
     local = archive.track("local_positions", (frames, count, 3)) if "local_positions" in archive else None
     roots = archive.track("root_positions", (frames, 3))
-    tell(archive.path, archive.notes.lines)
+    report_notes(archive.path, archive.notes.lines)
     return Motion(
         Skeleton(
             joint_names([str(name) for name in names], MAX_NAME),

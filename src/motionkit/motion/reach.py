@@ -66,13 +66,7 @@ def _slopes(
     at: Array, skeleton: Skeleton, joints: list[int], weights: Array, root_moves: bool
 ) -> tuple[Array, list[int]]:
     """The Jacobian of the joints' positions (3 N rows) for turns about world axes, and the joints that turn."""
-    above: dict[int, set[int]] = {}
-    for joint in joints:
-        chain, parent = set(), skeleton.parents[joint]
-        while parent >= 0:
-            chain.add(parent)
-            parent = skeleton.parents[parent]
-        above[joint] = chain
+    above = {joint: set(skeleton.path(joint)[:-1]) for joint in joints}
     columns = sorted(joint for joint in set().union(*above.values()) if weights[joint] > 0.0)
     slopes = np.zeros((3 * len(joints), 3 * len(columns) + (2 if root_moves else 0)))
     axes = np.eye(3)

@@ -153,6 +153,12 @@ def quat_from_yaw(yaw: Array) -> Array:
     return np.stack([np.cos(0.5 * yaw), zero, np.sin(0.5 * yaw), zero], axis=-1)
 
 
+def quat_about(axis: Array, angle: Array) -> Array:
+    """Rotations (..., 4) by angles (...) in radians about unit axes (..., 3)."""
+    half = 0.5 * angle[..., None]
+    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
+
+
 def wrap_angle(angle: Array) -> Array:
     """Angles wrapped to [-pi, pi)."""
     return np.remainder(angle + math.pi, 2 * math.pi) - math.pi
@@ -182,9 +188,7 @@ def sixd_to_quat(sixd: Array) -> Array:
 def euler_to_quat(euler: Array, order: str) -> Array:
     """Rotations (..., 4) of intrinsic Euler angles (..., len(order)) in radians, in the order of BVH channels.
 
-    Args:
-        euler: angles, one for each axis of order.
-        order: axes such as "ZYX"; the first one is the outermost rotation.
+    order is one of axes such as "ZYX"; the first one is the outermost rotation.
     """
     quat = quat_identity(euler.shape[:-1], euler.dtype)
     for index, axis in enumerate(order):

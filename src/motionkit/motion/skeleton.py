@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,6 +46,28 @@ class Skeleton:
         while joint > above:
             joint = self.parents[joint]
         return joint == above
+
+    def path(self, joint: int) -> list[int]:
+        """The joints from the root to a joint, both included."""
+        out = [joint]
+        while self.parents[out[-1]] >= 0:
+            out.append(self.parents[out[-1]])
+        return out[::-1]
+
+    def between(self, above: int, joint: int) -> list[int]:
+        """The joints below `above` down to a joint that descends from it, the last one included."""
+        path = self.path(joint)
+        return path[path.index(above) + 1 :]
+
+    def picked(self, joints: Sequence[int]) -> Skeleton:
+        """Some joints, with the parents of each, in another order."""
+        place = {joint: index for index, joint in enumerate(joints)}
+        return Skeleton(
+            tuple(self.names[joint] for joint in joints),
+            tuple(place.get(self.parents[joint], -1) for joint in joints),
+            self.offsets[list(joints)],
+            {place[joint]: end for joint, end in self.end_sites.items() if joint in place},
+        )
 
     def rest_positions(self) -> Array:
         """Joint positions (J, 3) of the rest pose, the root at the origin."""
@@ -133,18 +156,15 @@ def spoken(name: str) -> str:
     return name.lower() if name in JOINT_NAMES else name
 
 
-# The index of each canonical joint's twin on the other side.
+# The index of each canonical joint's opposite on the other side.
 MIRROR_JOINTS: tuple[int, ...] = tuple(JOINT_NAMES.index(mirrored_name(name)) for name in JOINT_NAMES)
 
 
 def canonical_skeleton(offsets: Array | None = None) -> Skeleton:
     """The canonical skeleton of 23 joints in cm, facing +Z with left along +X.
 
-    Args:
-        offsets: (23, 3) offsets of another body in cm; each end site is scaled with its joint's offset.
-
-    Raises:
-        SkeletonError: offsets have another shape.
+    offsets (23, 3) are those of another body in cm; each end site is scaled with its joint's offset. Raises
+    SkeletonError for another shape.
     """
     default = np.array([offset for _, _, offset in _CANONICAL], np.float32)
     ends = {JOINT_NAMES.index(name): end for name, end in _CANONICAL_ENDS.items()}

@@ -1,8 +1,8 @@
 """Poses of SMPL, SMPL-H and SMPL-X bodies, as AMASS gives them out: turns of joints and places, without the body.
 
 Its joints are about those of the mean neutral body of SMPL (Loper et al., SMPL: A Skinned Multi-Person Linear Model,
-2015); the exact ones come with the model, which is not free. Betas, which say how a body differs from the mean, need it
-and are not used.
+2015). They were not read from the model, which is not free; docs/sources.md says how near they are. Betas, which say
+how a body differs from the mean, need it and are not used.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ class Client:
         self._events: deque[str] = deque()
         self._frame: str | bytes | None = None
         self._wake = asyncio.Event()
-        self._ending = self._gone = False
+        self._ending = self._closed = False
         self.stalled = self.let_go = False
         self.heard = now  # time of the last message
 
@@ -73,7 +73,7 @@ class Client:
 
     def leave(self) -> None:
         """Stop sending; pump returns."""
-        self._gone = True
+        self._closed = True
         self._wake.set()
 
     async def pump(self, send: Callable[[str | bytes], Awaitable[None]]) -> None:
@@ -82,16 +82,16 @@ class Client:
         Cancelling the task does not suffice: before Python 3.12, wait_for can swallow a cancellation that arrives just
         as the send completes.
         """
-        while not self.stalled and not self._gone:
+        while not self.stalled and not self._closed:
             await self._wake.wait()
             self._wake.clear()
             try:
-                while self._events and not self._gone:
+                while self._events and not self._closed:
                     await asyncio.wait_for(send(self._events.popleft()), STALL_SECONDS)
                 if self._ending:
                     return
                 frame, self._frame = self._frame, None
-                if frame is not None and not self._gone:
+                if frame is not None and not self._closed:
                     await asyncio.wait_for(send(frame), STALL_SECONDS)
             except (asyncio.TimeoutError, OSError):
                 self.stalled = True

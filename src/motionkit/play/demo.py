@@ -20,7 +20,7 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.play.figures import standing_rig
 from motionkit.play.frames import rounded
-from motionkit.play.on_rig import rig_tables
+from motionkit.play.on_rig import rig_tables, with_soles
 from motionkit.view.figure_data import CM
 from motionkit.view.viewer import fill_page, page_asset
 
@@ -50,7 +50,7 @@ def write_demo(folder: str | Path, model: MotionModel, force: bool = False) -> d
     if not force:
         page_file, worker = folder / "index.html", folder / "sw.js"
         check_foreign([page_file, worker] if page_file.exists() else [folder / name for name in NAMES])
-    packed = page_model(model)  # refuses what the kernels cannot run
+    packed = page_model(with_soles(model))  # refuses what the kernels cannot run
     motion = synthesize(model, [TypePart(model_first_type(model), CHECKED)]).motion
     page = fill_page("demo.html", _page_data(model, motion))
     made = {

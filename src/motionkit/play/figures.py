@@ -18,21 +18,21 @@ from motionkit.view.figure_data import CM, rig_data
 WAIT_SECONDS = 3.0  # wait for a mesh; connections must be answered within ten seconds
 
 
-def standing_rig(skeleton: Skeleton, hero: dict[str, Any] | None = None) -> dict[str, Any]:
-    """The rig and mesh of a body (in cm) in its rest pose, for the page; hero is a user's character in its place."""
+def standing_rig(skeleton: Skeleton, character: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The rig and mesh of a body (in cm) in its rest pose, for the page; character is a user's, in its place."""
     turns = quat_identity((1, len(skeleton)))
     motion = Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0)
-    return rig_data(motion.scaled(CM), body=None if hero else BODIES[0]) | {"hero": hero}
+    return rig_data(motion.scaled(CM), body=None if character else BODIES[0]) | {"hero": character}
 
 
 class Figures:
     """Body meshes as JSON. Each is made once, in its own thread, because it takes about half a second."""
 
     def __init__(
-        self, bodies: Sequence[Skeleton], heroes: Mapping[int, dict[str, Any]] | None = None
+        self, bodies: Sequence[Skeleton], characters: Mapping[int, dict[str, Any]] | None = None
     ) -> None:
-        """heroes are users' characters in place of the meshes of some bodies, by their numbers."""
-        self._bodies, self._heroes = bodies, heroes or {}
+        """characters are users' characters in place of the meshes of some bodies, by their numbers."""
+        self._bodies, self._characters = bodies, characters or {}
         self._made: dict[int, asyncio.Task[bytes]] = {}
         self._one = asyncio.Semaphore(1)
 
@@ -54,8 +54,8 @@ class Figures:
 
     async def _make(self, number: int) -> bytes:
         async with self._one:
-            return await asyncio.to_thread(_figure_text, self._bodies[number], self._heroes.get(number))
+            return await asyncio.to_thread(_figure_text, self._bodies[number], self._characters.get(number))
 
 
-def _figure_text(skeleton: Skeleton, hero: dict[str, Any] | None) -> bytes:
-    return json.dumps(standing_rig(skeleton, hero), separators=(",", ":")).encode()
+def _figure_text(skeleton: Skeleton, character: dict[str, Any] | None) -> bytes:
+    return json.dumps(standing_rig(skeleton, character), separators=(",", ":")).encode()

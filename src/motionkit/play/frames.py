@@ -34,7 +34,7 @@ TOUCHES_ABOVE = 0.5  # probability above which a foot joint counts as in contact
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class CharacterState:
     """One character in one frame.
 
     Attributes:
@@ -81,7 +81,7 @@ class WorldFrame:
     time: float
     step_ms: float
     fps: float
-    characters: tuple[Shown, ...]
+    characters: tuple[CharacterState, ...]
     arrived: tuple[int, ...] = ()
 
 
@@ -107,7 +107,7 @@ def frame_bytes(frame: WorldFrame) -> bytes:
 
 
 # Additional fields of a character in JSON frames, such as its pose on a user's rig; may be empty.
-Extra = Callable[[Shown], dict[str, Any]]
+Extra = Callable[[CharacterState], dict[str, Any]]
 
 
 def frame_text(frame: WorldFrame, types: tuple[str, ...], extra: Extra | None = None) -> str:
@@ -125,7 +125,7 @@ def frame_text(frame: WorldFrame, types: tuple[str, ...], extra: Extra | None = 
     return json.dumps(event, allow_nan=False, separators=(",", ":"))
 
 
-def _character_event(one: Shown, types: tuple[str, ...]) -> dict[str, Any]:
+def _character_event(one: CharacterState, types: tuple[str, ...]) -> dict[str, Any]:
     return {
         "id": one.id,
         "seq": one.seq,

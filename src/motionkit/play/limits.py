@@ -33,7 +33,7 @@ class Limits:
     recordings: int = 20
     recording_bytes: int = 100_000_000
 
-    def told(self) -> dict[str, float]:
+    def as_dict(self) -> dict[str, float]:
         """The limits as sent in hello."""
         return asdict(self)
 

@@ -11,7 +11,7 @@ from typing import Any
 from motionkit.errors import ControlError, MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.play.client import COSTS, Client
-from motionkit.play.frames import Shown, WorldFrame, frame_bytes, frame_text
+from motionkit.play.frames import CharacterState, WorldFrame, frame_bytes, frame_text
 from motionkit.play.limits import Limits
 from motionkit.play.on_rig import LiveRig
 from motionkit.play.pace import Pacer
@@ -21,7 +21,7 @@ from motionkit.play.session import Recorded, Session
 from motionkit.rig.rig import Rig
 
 CHANGES_CHARACTERS = frozenset({"add", "remove", "body", "noise", "record"})
-LOOK_SECONDS = 0.1  # between looks whether a client that waits for its turn is still there
+LOOK_SECONDS = 0.1  # s between checks that a waiting client is still connected
 REST = 3.0  # after slow work such as a reset, the next must wait this multiple of its duration
 
 
@@ -102,9 +102,8 @@ class Live:
     ) -> None:
         """Add clients and a clock to a session.
 
-        Args:
-            rig: rig of recordings and JSON frames, and a clip that animates its other joints (see file_bytes).
-            recording_format: one of FORMATS, for requests that name none.
+        rig is that of recordings and JSON frames, with a clip that animates its other joints (file_bytes).
+        recording_format, one of FORMATS, is for requests that name none.
         """
         self.session, self.clock = session, clock
         self._live_rig = None if rig[0] is None else LiveRig(rig[0])
@@ -119,17 +118,17 @@ class Live:
 
     # ---- clients ----
 
-    async def join(self, as_json: bool, gone: Callable[[], bool] = lambda: False) -> Client | None:
+    async def join(self, as_json: bool, closed: Callable[[], bool] = lambda: False) -> Client | None:
         """Add a client and queue its hello; None if the server is full and no client is idle, or the client has gone.
 
-        gone: whether the client has disconnected; it then loses its turn.
+        closed: whether the client has disconnected; it then loses its turn.
         """
         if len(self.clients) + self._joining >= self.session.limits.clients and not self._let_one_go():
             return None
         self._joining += 1
         turn = asyncio.ensure_future(self._join_in_turn(as_json))
         try:
-            while not turn.done() and not gone():
+            while not turn.done() and not closed():
                 await asyncio.wait([turn], timeout=LOOK_SECONDS)
         finally:
             self._joining -= 1
@@ -146,8 +145,8 @@ class Live:
         quiet = min(self.clients.values(), key=lambda client: client.heard, default=None)
         if quiet is None or self.clock() - quiet.heard < self.session.limits.idle_seconds:
             return False
-        said = ProtocolError("another client needs the place; send a ping now and then to keep yours")
-        quiet.dismiss(error_event(said, closing=True))
+        error = ProtocolError("another client needs the place; send a ping now and then to keep yours")
+        quiet.dismiss(error_event(error, closing=True))
         self.leave(quiet)
         return True
 
@@ -158,7 +157,7 @@ class Live:
         client = Client(self._last_client, as_json, self.session.limits, self.clock(), first_frame)
         character = self.session.join(client.number)
         self.clients[client.number] = client
-        rig = {} if self._live_rig is None else {"rig": self._live_rig.told()}
+        rig = {} if self._live_rig is None else {"rig": self._live_rig.as_dict()}
         recordings = {"recording_format": self.writer.format}
         client.tell(self.session.hello(client.number, character) | recordings | rig)
         if self.pacer.behind:
@@ -243,7 +242,7 @@ class Live:
         # At most once per frame: otherwise a client with constant changes would fill every queue.
         if self._changed:
             self._changed = False
-            self._tell_all({"event": "characters", "characters": self.session.told()})
+            self._tell_all({"event": "characters", "characters": self.session.character_list()})
         self._show(frame)
         for watcher in self.watchers:
             watcher(frame)
@@ -273,7 +272,7 @@ class Live:
                 )
             client.show(forms[client.as_json])
 
-    def _on_rig(self, one: Shown) -> dict[str, Any]:
+    def _on_rig(self, one: CharacterState) -> dict[str, Any]:
         """Additional JSON fields of a character that has the rig's body, else none."""
         character = self.session.characters.get(one.id)
         if self._live_rig is None or character is None or character.body != self._live_rig.rig.name:

@@ -13,10 +13,11 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS, Skeleton, canonical_skeleton
-from motionkit.play.frames import Shown, rounded
+from motionkit.play.frames import CharacterState, rounded
 from motionkit.rig import names, rest_pose, twist
 from motionkit.rig.gltf_nodes import VRM_BONES
 from motionkit.rig.rig import PLAUSIBLE_STANCE, Rig, stance_part
+from motionkit.rig.soles import LiveSoles, body_soles, read_soles
 from motionkit.rig.to_rig import THIGHS, from_body, rig_body, standing_height
 from motionkit.view.character_data import MAX_BYTES, page_bytes, rig_joints
 
@@ -25,12 +26,21 @@ STANDING_ANKLE = 7.6
 _TOES = [JOINT_NAMES.index(f"{side}ToeBase") for side in ("Left", "Right")]
 
 
+def with_soles(model: MotionModel) -> MotionModel:
+    """The model with the soles of the body that is shown on its characters' joints, for pages."""
+    own = {name: LiveSoles(*body_soles(model.character(name)), floor=0.0) for name in model.characters}
+    return replace(model, soles=own | model.soles)
+
+
 def with_rig(model: MotionModel, rig: Rig) -> MotionModel:
-    """The model with the rig's body among its characters, under the rig's name, so that foot locking uses that body."""
+    """The model with the rig's body among its characters, under the rig's name; feet are locked on that body."""
     body = rig_body(rig)
     offsets = body.offsets.copy()
     offsets[body.children(0)] += _raised(body)
-    return replace(model, characters=model.characters | {rig.name: offsets})
+    soles, known = read_soles(rig), model.soles
+    if soles is not None:
+        known = known | {rig.name: LiveSoles(*soles, floor=-_lift(rig, body))}
+    return replace(model, characters=model.characters | {rig.name: offsets}, soles=known)
 
 
 def _raised(body: Skeleton) -> Array:
@@ -52,6 +62,15 @@ def _ankles_higher(body: Skeleton) -> Array:
     return np.array([0.0, max(depth, 0.0), 0.0], np.float32)
 
 
+def _lift(rig: Rig, body: Skeleton) -> float:
+    """Rise in cm of a live character: its feet may stand higher or lower than the canonical ones it is posed by."""
+    toes = stance_part(rig.joints) == "ToeBase"
+    usual = STANDING_HEIGHTS[1] if toes else STANDING_ANKLE + float(_ankles_higher(body)[1])
+    soles = read_soles(rig)
+    standing = standing_height(rig, usual) if soles is None else sum(sole.depth for sole in soles) / 2.0
+    return standing - usual
+
+
 def rig_tables() -> dict[str, Any]:
     """All that a page needs to do the same with a rig by itself, as JSON values (web/src/demo/rig.js)."""
     heights = {"ToeBase": STANDING_HEIGHTS[1], "Foot": STANDING_ANKLE}
@@ -66,12 +85,9 @@ class LiveRig:
         self.rig = rig
         self.body = rig_body(rig)
         self._raised = _raised(self.body)
-        # Live toes stand as high as those of the canonical body; the rig's feet may stand higher or lower.
-        toes = stance_part(rig.joints) == "ToeBase"
-        usual = STANDING_HEIGHTS[1] if toes else STANDING_ANKLE + float(_ankles_higher(self.body)[1])
-        self._lift = np.array([0.0, standing_height(rig, usual) - usual, 0.0], np.float32)
+        self._lift = np.array([0.0, _lift(rig, self.body), 0.0], np.float32)
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """The rig for hello."""
         skeleton = self.rig.skeleton
         return {
@@ -81,14 +97,14 @@ class LiveRig:
             "offsets": rounded(skeleton.offsets, 6),
         }
 
-    def hero(self) -> dict[str, Any]:
+    def page_character(self) -> dict[str, Any]:
         """The rig's character for the page, posed as pose does; raises MotionkitError if it cannot be shown."""
         character = self.rig.character
         assert character is not None
         data = base64.b64encode(page_bytes(character.tree.file)).decode()
         return rig_joints(self.rig, self._raised, self._lift) | {"data": data}
 
-    def pose(self, one: Shown) -> dict[str, Any]:
+    def pose(self, one: CharacterState) -> dict[str, Any]:
         """A character on the rig: local rotations (J, 4) and positions (J, 3), in the rig's unit and axes."""
         hips = one.root + quat_rotate(one.rotations[0], self._raised) + self._lift
         body = Motion(self.body, one.rotations[None], hips[None], 60.0)

@@ -10,7 +10,7 @@ from typing import Any
 
 from motionkit.control.path import MAX_STOP
 from motionkit.errors import MotionkitError
-from motionkit.files import parse_json
+from motionkit.files import is_number, parse_json
 from motionkit.inference.noise import NOISE_KINDS
 from motionkit.names import nfc
 from motionkit.play.limits import Limits
@@ -43,8 +43,7 @@ Check = Callable[[Any], Any]
 
 def _number(low: float, high: float) -> Check:
     def check(value: Any) -> float:
-        # The comparison is False for NaN, and works for integers too large for a float.
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        if not is_number(value, low, high):
             raise ValueError(f"a number from {low:g} to {high:g}")
         return float(value)
 
@@ -52,9 +51,9 @@ def _number(low: float, high: float) -> Check:
 
 
 def _count(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_COUNT:
+    if not is_number(value, 0, MAX_COUNT, whole=True):
         raise ValueError(f"a whole number from 0 to {MAX_COUNT}")
-    return value
+    return int(value)
 
 
 def _name(value: Any) -> str:
@@ -69,16 +68,13 @@ def _flag(value: Any) -> bool:
     return value
 
 
-def _noise_kind(value: Any) -> str:
-    if value not in NOISE_KINDS:
-        raise ValueError(f"one of {', '.join(NOISE_KINDS)}")
-    return str(value)
+def _one_of(known: tuple[str, ...]) -> Check:
+    def check(value: Any) -> str:
+        if value not in known:
+            raise ValueError(f"one of {', '.join(known)}")
+        return str(value)
 
-
-def _format(value: Any) -> str:
-    if value not in FORMATS:
-        raise ValueError(f"one of {', '.join(FORMATS)}")
-    return str(value)
+    return check
 
 
 def _pair(limit: float) -> Check:
@@ -154,10 +150,10 @@ REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
     "reset": {**_CHARACTER},
     "noise": {
         **_CHARACTER,
-        "kind": (_noise_kind, "correlated"),
+        "kind": (_one_of(NOISE_KINDS), "correlated"),
         "temperature": (_number(0.0, MAX_TEMPERATURE), 0.05),
     },
-    "record": {**_CHARACTER, "on": (_flag, _REQUIRED), "format": (_or_null(_format), None)},
+    "record": {**_CHARACTER, "on": (_flag, _REQUIRED), "format": (_or_null(_one_of(FORMATS)), None)},
     "ping": {"stamp": (_number(-1e300, 1e300), 0.0)},
 }
 
@@ -171,17 +167,19 @@ def parse_request(text: str) -> Request:
     try:
         value = parse_json(text, "message", ProtocolError)
     except ProtocolError as error:
-        raise ProtocolError(f"expected a JSON object, found {_shown(text)} ({_first_line(error)})") from None
+        raise ProtocolError(
+            f"expected a JSON object, found {_value_text(text)} ({_first_line(error)})"
+        ) from None
     if not isinstance(value, dict):
-        raise ProtocolError(f"expected a JSON object, found {_shown(text)}")
+        raise ProtocolError(f"expected a JSON object, found {_value_text(text)}")
     do = value.pop("do", None)
     fields = REQUESTS.get(do) if isinstance(do, str) else None
     if fields is None:
-        raise ProtocolError(f'expected "do" to be one of {", ".join(REQUESTS)}, found {_shown(do)}')
+        raise ProtocolError(f'expected "do" to be one of {", ".join(REQUESTS)}, found {_value_text(do)}')
     unknown = sorted(value.keys() - fields.keys())
     if unknown:
         raise ProtocolError(
-            f"{do}: unknown field {_shown(unknown[0])}, expected {', '.join(fields) or 'none'}"
+            f"{do}: unknown field {_value_text(unknown[0])}, expected {', '.join(fields) or 'none'}"
         )
     out = {}
     for name, (check, default) in fields.items():
@@ -190,11 +188,11 @@ def parse_request(text: str) -> Request:
         try:
             out[name] = check(value[name]) if name in value else default
         except ValueError as error:
-            raise ProtocolError(f"{do}: {name}: expected {error}, found {_shown(value[name])}") from None
+            raise ProtocolError(f"{do}: {name}: expected {error}, found {_value_text(value[name])}") from None
     return Request(do, out)
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     """A value for an error message, shortened."""
     try:
         text = repr(value)

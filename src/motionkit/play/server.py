@@ -101,11 +101,11 @@ class PlayServer:
         self.live = Live(session, rig=(options.rig, options.clip), recording_format=options.recording_format)
         self._page = page_asset("play.html").encode() if options.page else None
         names = list(session.model.characters)
-        heroes = {}
+        characters = {}
         if options.page and options.rig is not None and options.rig.character is not None:
             if options.rig.character.has_mesh:
-                heroes[names.index(options.rig.name)] = LiveRig(options.rig).hero()
-        self._figures = Figures([session.model.character(name) for name in names], heroes)
+                characters[names.index(options.rig.name)] = LiveRig(options.rig).page_character()
+        self._figures = Figures([session.model.character(name) for name in names], characters)
         self._first_figure = names.index(session.body)
         self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # TCP connections
         most = WAITING_ROOM * session.limits.clients
@@ -230,12 +230,12 @@ class PlayServer:
 
     def _knows_token(self, request: HttpRequest, query: str) -> bool:
         """Whether a request has the token in its URL or cookie; True if no token is required."""
-        told = parse_qs(query).get("token", [])
+        tokens = parse_qs(query).get("token", [])
         for line in request.headers.get_all("Cookie"):
             with suppress(CookieError):
                 cookie = SimpleCookie(line).get(self._cookie)
-                told += [] if cookie is None else [cookie.value]
-        return self.token is None or any(self._is_token(word) for word in told)
+                tokens += [] if cookie is None else [cookie.value]
+        return self.token is None or any(self._is_token(word) for word in tokens)
 
     def _is_token(self, word: object) -> bool:
         # Constant time, so that timing does not reveal the token.
@@ -253,7 +253,7 @@ class PlayServer:
                 raise ConnectionError(str(error)) from None
 
         _send_late(socket.transport)
-        client = await self.live.join(as_json=False, gone=lambda: socket.state is not State.OPEN)
+        client = await self.live.join(as_json=False, closed=lambda: socket.state is not State.OPEN)
         with suppress(ConnectionClosed):
             if client is None:
                 await socket.close(CLOSE_FULL, "too many clients")
@@ -268,7 +268,7 @@ class PlayServer:
             writer.write((message if isinstance(message, bytes) else message.encode()) + b"\n")
             await writer.drain()
 
-        def gone() -> bool:
+        def closed() -> bool:
             return reader.at_eof() or writer.is_closing()
 
         task = asyncio.current_task()
@@ -280,7 +280,7 @@ class PlayServer:
             lines = self._lines(reader)
             fault = await self._tcp_fault(lines)
             self._tcp_strangers.know(writer.transport)
-            client = None if fault else await self.live.join(as_json=True, gone=gone)
+            client = None if fault else await self.live.join(as_json=True, closed=closed)
             if client is None:
                 refused = error_event(ProtocolError(fault or "too many clients"), closing=True)
                 writer.write(json.dumps(refused).encode() + b"\n")
@@ -302,10 +302,10 @@ class PlayServer:
         if self.token is None:
             return None
         with suppress(ProtocolError, StopAsyncIteration, asyncio.TimeoutError):
-            told = parse_json(
+            message = parse_json(
                 await asyncio.wait_for(lines.__anext__(), TOKEN_SECONDS), "token", ProtocolError
             )
-            if isinstance(told, dict) and self._is_token(told.get("token")):
+            if isinstance(message, dict) and self._is_token(message.get("token")):
                 return None
         return 'send the token of this server first: {"token": "..."}'
 
@@ -389,12 +389,12 @@ class PlayServer:
         bodies: dict[str, VmcBody] = {}
 
         def show(frame: WorldFrame) -> None:
-            shown = next((one for one in frame.characters if one.id == kept.id), None)
-            if shown is None:
+            state = next((one for one in frame.characters if one.id == kept.id), None)
+            if state is None:
                 return
             if kept.body not in bodies:
                 bodies[kept.body] = VmcBody(session.model.character(kept.body))
-            for bundle in osc_bundles(bodies[kept.body].messages(shown, frame.time)):
+            for bundle in osc_bundles(bodies[kept.body].messages(state, frame.time)):
                 transport.sendto(bundle)
 
         self.live.watchers.append(show)
@@ -405,7 +405,7 @@ class _Connection(ServerConnection):
     """A connection that answers every HTTP method: websockets accepts only GET, or, in some versions, any method."""
 
     method: bytes | None = None
-    _begun = b""
+    _partial = b""
     _refused = False
 
     def __init__(self, strangers: Strangers, *words: Any, **options: Any) -> None:
@@ -424,13 +424,13 @@ class _Connection(ServerConnection):
         if self._refused:
             return
         if self.method is None:
-            data = self._begun = self._begun + data
+            data = self._partial = self._partial + data
             if any(word.startswith(data) for word in METHODS):
                 return  # the rest of the method is still to come
             if not data.startswith(METHODS):
                 self._refuse()
                 return
-            self._begun = b""
+            self._partial = b""
             self.method = data.partition(b" ")[0]
             if self.method == b"HEAD":
                 data = b"GET" + data[len(b"HEAD") :]

@@ -22,7 +22,7 @@ from motionkit.inference.noise import Noise
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton
-from motionkit.play.frames import Shown, WorldFrame
+from motionkit.play.frames import CharacterState, WorldFrame
 from motionkit.play.limits import Limits
 from motionkit.play.recording import Recorder
 from motionkit.play.requests import Request
@@ -82,11 +82,11 @@ class Character:
         if stops and stops[-1][0] >= len(points):
             raise ControlError(f"expected stops at points 1 to {len(points) - 1}, found {stops[-1][0]}")
         x, z = self.stream.ground[0, :2].tolist()
-        way = [(x, z)] if math.dist(points[0], (x, z)) > PATH_JOINS_WITHIN else []
+        start = [(x, z)] if math.dist(points[0], (x, z)) > PATH_JOINS_WITHIN else []
         if kind is None:
             kind = steered_type(self.model, (0.0, 100.0 if speed is None else speed), None)
-        ends = [(len(way) + number, seconds) for number, seconds in stops]
-        points = way + points
+        ends = [(len(start) + number, seconds) for number, seconds in stops]
+        points = start + points
         if not ends or ends[-1][0] < len(points) - 1:
             ends.append((len(points) - 1, 0.0))
         begins = [0, *(number + 1 for number, _ in ends)]
@@ -96,7 +96,7 @@ class Character:
         ]
         self.driver.set_wish(Wish(path=make_path(parts)))
 
-    def step(self, number: int) -> Shown:
+    def step(self, number: int) -> CharacterState:
         """The next frame; resets the character if its positions are not finite."""
         made = self.stream.step(self.driver(number, self.stream.ground))
         if not bool(np.isfinite(made.positions).all()):
@@ -106,7 +106,7 @@ class Character:
         recording = self.recorder is not None and not self.recorder.full
         if self.recorder is not None:
             self.recorder.append(rotations, root)
-        return Shown(
+        return CharacterState(
             self.id,
             self.seq,
             self.model.type_id(self.driver.type),
@@ -152,7 +152,7 @@ class Session:
         # Streams of removed characters, for reuse: creating one takes as long as many frames, resetting one does not.
         self._spare: list[CharacterStream] = []
         # Looking up all bodies takes as long as a frame, so do it once rather than at every hello.
-        self._bodies = [_body_told(name, model.character(name)) for name in model.characters]
+        self._bodies = [_body_info(name, model.character(name)) for name in model.characters]
 
     @property
     def time(self) -> float:
@@ -190,8 +190,8 @@ class Session:
         """Add a character; raises ControlError if the body is unknown or the session is full."""
         if len(self.characters) >= self.limits.characters:
             raise ControlError(f"the world is full: there is room for {self.limits.characters} characters")
-        taken = {c.slot for c in self.characters.values()}
-        slot = next(i for i in range(self.limits.characters) if i not in taken)
+        used = {c.slot for c in self.characters.values()}
+        slot = next(i for i in range(self.limits.characters) if i not in used)
         body = body or self.body
         self.model.character(body)
         self._last_id += 1
@@ -326,11 +326,11 @@ class Session:
             ],
             "steered": [name for name in model.types if model.kind(name).steered],
             "bodies": self._bodies,
-            "characters": self.told(),
-            "limits": self.limits.told(),
+            "characters": self.character_list(),
+            "limits": self.limits.as_dict(),
         }
 
-    def told(self) -> list[dict[str, Any]]:
+    def character_list(self) -> list[dict[str, Any]]:
         """All characters, for the event `characters`."""
         return [
             {
@@ -345,7 +345,7 @@ class Session:
         ]
 
 
-def _body_told(name: str, body: Skeleton) -> dict[str, Any]:
+def _body_info(name: str, body: Skeleton) -> dict[str, Any]:
     """A body, for hello."""
     return {
         "name": name,

@@ -11,7 +11,7 @@ import numpy as np
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.rotations import matrix_to_quat, quat_inverse, quat_to_matrix
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
-from motionkit.play.frames import Floats, Shown
+from motionkit.play.frames import CharacterState, Floats
 from motionkit.rig.standing_pose import standing_turns
 
 BUNDLE_BYTES = 1400  # fits into one Ethernet frame
@@ -26,9 +26,9 @@ BONES: tuple[tuple[str, str, str], ...] = (
     ("Neck", "Chest", "Neck"),
     ("Head", "Neck", "Head"),
     *(
-        (f"{side}{bone}", f"{side}{parent}" if own else parent, f"{side}{joint}")
+        (f"{side}{bone}", f"{side}{parent}" if sided else parent, f"{side}{joint}")
         for side in ("Left", "Right")
-        for bone, parent, own, joint in (
+        for bone, parent, sided, joint in (
             ("UpperLeg", "Hips", False, "UpLeg"),
             ("LowerLeg", "UpperLeg", True, "Leg"),
             ("Foot", "LowerLeg", True, "Foot"),
@@ -85,31 +85,31 @@ class VmcBody:
         self._skeleton = skeleton
         self._from_rest = quat_to_matrix(quat_inverse(standing_turns()))[_JOINTS]
 
-    def bones(self, shown: Shown) -> tuple[Floats, Floats]:
+    def bones(self, state: CharacterState) -> tuple[Floats, Floats]:
         """Positions (1 + B, 3) and rotations (1 + B, 4) of the root and BONES, relative to their parents.
 
         Axes are right-handed, positions in cm, and rotations relative to the T-pose.
         """
         skeleton = self._skeleton
         rotations, positions = forward_kinematics(
-            shown.rotations, shown.root, skeleton.offsets, skeleton.parents
+            state.rotations, state.root, skeleton.offsets, skeleton.parents
         )
-        half = 0.5 * shown.heading
+        half = 0.5 * state.heading
         root_turn = quat_to_matrix(np.array([[math.cos(half), 0.0, math.sin(half), 0.0]], np.float32))
-        root_place = shown.root * np.array([1.0, 0.0, 1.0], np.float32)
+        root_place = state.root * np.array([1.0, 0.0, 1.0], np.float32)
         turns = np.concatenate([root_turn, np.matmul(quat_to_matrix(rotations[_JOINTS]), self._from_rest)])
         places = np.concatenate([root_place[None], positions[_JOINTS]])
         above = np.swapaxes(turns[_PARENTS], -1, -2)  # parents of the bones; the root stays in world space
         inside = np.matmul(above, turns[1:])
-        ways = np.matmul(above, (places[1:] - places[_PARENTS])[..., None])[..., 0]
+        offsets = np.matmul(above, (places[1:] - places[_PARENTS])[..., None])[..., 0]
         return (
-            np.concatenate([places[:1], ways]),
+            np.concatenate([places[:1], offsets]),
             matrix_to_quat(np.concatenate([turns[:1], inside])),
         )
 
-    def messages(self, shown: Shown, seconds: float) -> list[bytes]:
+    def messages(self, state: CharacterState, seconds: float) -> list[bytes]:
         """The OSC messages for one frame."""
-        places, rotations = self.bones(shown)
+        places, rotations = self.bones(state)
         out = [osc_message("/VMC/Ext/OK", 1), osc_message("/VMC/Ext/T", float(seconds))]
         addresses = ["/VMC/Ext/Root/Pos"] + ["/VMC/Ext/Bone/Pos"] * len(_NAMES)
         for address, name, place, turn in zip(addresses, ["root", *_NAMES], places, rotations, strict=True):

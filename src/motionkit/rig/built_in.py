@@ -46,7 +46,7 @@ def rig_rate(path: Path) -> float | None:
     return BUILT_IN[path.stem].fps if path.parent == _FOLDER else None
 
 
-def told_rigs() -> list[str]:
+def rig_lines() -> list[str]:
     """A line for each built-in rig: its name, its number of joints, and what it is for."""
     lines = []
     for name, built in BUILT_IN.items():

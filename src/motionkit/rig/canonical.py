@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from motionkit.errors import SkeletonError
-from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh
+from motionkit.errors import naming
+from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, Skeleton, leg_length
+from motionkit.reading import user_cm
 from motionkit.rig.read_file import read_file
 from motionkit.rig.retarget import RetargetReport, retarget
 from motionkit.rig.units import LONGEST_LEG, PLAUSIBLE_LEG, SHORTEST_LEG, guess_scale
@@ -33,20 +32,25 @@ def load_canonical(
         BvhError: the file is invalid.
         SkeletonError: the rig cannot be retargeted.
     """
-    bvh = read_file(path)
+    with naming(path):
+        return canonical_with_notes(read_file(path), Path(path).name, scale, fps)
+
+
+def canonical_with_notes(
+    bvh: BvhFile, name: str, scale: float | None = None, fps: float | None = None
+) -> tuple[Motion, list[str]]:
+    """Like load_canonical, of a file that was read; name is for the notes."""
     order = _canonical_order(bvh.skeleton)
     if order is None:
-        try:
-            motion, report = retarget(bvh, scale, fps)
-        except SkeletonError as error:
-            raise SkeletonError(f"{path}: {error}") from None
-        return motion, _mapping_notes(Path(path).name, report)
+        motion, report = retarget(bvh, scale, fps)
+        return motion, _mapping_notes(name, report)
     motion = _reordered(bvh_to_motion(bvh, fps=fps), order)
-    unit, notes = (scale, []) if scale is not None else _detected_unit(Path(path).name, motion.skeleton)
+    known_cm = scale or user_cm()
+    unit, notes = (known_cm, []) if known_cm else _detected_unit(name, motion.skeleton)
     motion = motion.scaled(unit) if unit != 1.0 else motion
     leg = leg_length(motion.skeleton)
     if not PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
-        notes.append(f"{Path(path).name}: legs of {leg:.3g} cm; give the right scale with --scale")
+        notes.append(f"{name}: legs of {leg:.3g} cm; give the right scale with --scale")
     return motion, notes
 
 
@@ -78,15 +82,10 @@ def canonical_motion(motion: Motion, own_body: bool = False, scale: float | None
 
 
 def _mapping_notes(name: str, report: RetargetReport) -> list[str]:
-    text = (
-        f"{name}: {report.source_joints} joints mapped onto the {JOINT_COUNT} canonical joints, "
-        f"1 unit = {report.scale:.4g} cm ({report.scale_source})"
-    )
+    notes = list(report.notes)
     if abs(report.root_scale - 1.0) > 0.01:
-        text += f", root path times {report.root_scale:.3f} for the canonical leg length"
-    if report.missing:
-        text += f", {', '.join(report.missing)} not in the file"
-    return [text, *(f"{name}: {note}" for note in report.notes)]
+        notes.insert(0, f"root path times {report.root_scale:.3f} for the canonical leg length")
+    return [f"{name}: {note}" for note in notes]
 
 
 def _canonical_order(skeleton: Skeleton) -> list[int] | None:
@@ -103,17 +102,9 @@ def _canonical_order(skeleton: Skeleton) -> list[int] | None:
 
 
 def _reordered(motion: Motion, order: list[int]) -> Motion:
-    skeleton = motion.skeleton
-    place = {old: new for new, old in enumerate(order)}
-    picked = np.array(order)
     return replace(
         motion,
-        skeleton=Skeleton(
-            JOINT_NAMES,
-            PARENTS,
-            skeleton.offsets[picked],
-            {place[j]: end for j, end in skeleton.end_sites.items()},
-        ),
-        local_rotations=motion.local_rotations[:, picked],
-        local_positions=None if motion.local_positions is None else motion.local_positions[:, picked],
+        skeleton=motion.skeleton.picked(order),
+        local_rotations=motion.local_rotations[:, order],
+        local_positions=None if motion.local_positions is None else motion.local_positions[:, order],
     )

@@ -113,12 +113,12 @@ class Character:
 
     def holds(self, motion: Motion) -> bool:
         """Whether a motion is on this skeleton, in any unit."""
-        own, other = self.skeleton, motion.skeleton
-        if own.names != other.names or own.parents != other.parents:
+        skeleton, other = self.skeleton, motion.skeleton
+        if skeleton.names != other.names or skeleton.parents != other.parents:
             return False
-        near = _SAME * float(np.abs(own.offsets[1:]).max(initial=1e-9))
+        near = _SAME * float(np.abs(skeleton.offsets[1:]).max(initial=1e-9))
         return bool(
-            np.abs(other.offsets[1:] * self.metres(motion) - own.offsets[1:]).max(initial=0.0) <= near
+            np.abs(other.offsets[1:] * self.metres(motion) - skeleton.offsets[1:]).max(initial=0.0) <= near
         )
 
     def metres(self, motion: Motion) -> float:

@@ -149,7 +149,7 @@ class GltfFile:
         """An error about this file."""
         return MotionkitError(f"{self.path}: {message}")
 
-    def own(self) -> bool:
+    def by_motionkit(self) -> bool:
         """Whether motionkit made the file."""
         asset = self.json.get("asset")
         return isinstance(asset, dict) and str(asset.get("generator")).startswith("motionkit ")
@@ -262,8 +262,8 @@ class GltfFile:
             size = self._whole(buffer, "byteLength", -1)
             if number == 0 and place is None and size > len(self.data):
                 raise self.fault(f"its buffer has {len(self.data):,} bytes, expected {size:,}")
-        own = not counts["buffers"] or self.items("buffers")[0].get("uri") is None
-        if own:
+        embedded = not counts["buffers"] or self.items("buffers")[0].get("uri") is None
+        if embedded:
             return GltfDocument({}, bytearray(-len(self.data) % 4), counts, 0, len(self.data))
         return GltfDocument({}, bytearray(), counts, counts["buffers"], 0)
 
@@ -276,9 +276,8 @@ class GltfFile:
     ) -> None:
         """Write this file with the lists and the bytes of an addition; all else stays byte for byte.
 
-        Args:
-            instead: lists, such as "animations", whose old entries are left out.
-            parts: translation, rotation and scale of nodes with a matrix, which may not be animated.
+        Old entries of the lists `instead`, such as "animations", are left out. parts has translation, rotation and
+        scale of nodes with a matrix, which may not be animated.
         """
         lists = {
             kind: [json.dumps(value, separators=(",", ":"), allow_nan=False) for value in values]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from motionkit.arrays import Doubles
+from motionkit.arrays import Array, Doubles
+from motionkit.errors import MotionkitError
 from motionkit.motion.bvh_text import MAX_JOINTS, MAX_NAME
 from motionkit.motion.rotations import quat_to_matrix
 from motionkit.names import joint_names, visible
@@ -120,20 +123,20 @@ class GltfNodes:
 
     def joints(self, humanoid: set[int]) -> list[int]:
         """The nodes of the character, parents first: those of skins and avatar, and all between them and their top."""
-        wanted = set(humanoid)
+        needed = set(humanoid)
         for skin in self.file.items("skins"):
-            wanted |= set(self.indices(skin.get("joints", []), "joints of a skin"))
-        if not wanted:
-            wanted = {node for node in self.order if "mesh" not in self.nodes[node]}
-        if not wanted:
+            needed |= set(self.indices(skin.get("joints", []), "joints of a skin"))
+        if not needed:
+            needed = {node for node in self.order if "mesh" not in self.nodes[node]}
+        if not needed:
             raise self.fault("has no skeleton, only meshes; rig it first (in Blender, Mixamo or Mesh2Motion)")
-        wanted = self._main(wanted)
-        below = [0] * len(self.nodes)  # how many wanted nodes are at or below each node
+        needed = self._main(needed)
+        below = [0] * len(self.nodes)  # how many needed nodes are at or below each node
         for node in reversed(self.order):
-            below[node] += node in wanted
+            below[node] += node in needed
             if self.parents[node] >= 0:
                 below[self.parents[node]] += below[node]
-        top = [node for node in self.order if below[node] == len(wanted)][-1]
+        top = [node for node in self.order if below[node] == len(needed)][-1]
         inside, out = {top}, [top]
         for node in self.order:
             if below[node] and self.parents[node] in inside:
@@ -149,7 +152,7 @@ class GltfNodes:
                 )
         return out
 
-    def _main(self, wanted: set[int]) -> set[int]:
+    def _main(self, needed: set[int]) -> set[int]:
         """Those of some nodes below the top node with the most; another top node must have less than half as many."""
         tops = list(range(len(self.nodes)))
         for node in self.order:
@@ -162,11 +165,11 @@ class GltfNodes:
                 raise self.fault(
                     f"a skin has joints in {len(apart)} trees, below {names}; expected one skeleton"
                 )
-        (first, count), *others = Counter(tops[node] for node in wanted).most_common()
+        (first, count), *others = Counter(tops[node] for node in needed).most_common()
         if others and 2 * others[0][1] >= count:
             names = f"{self.name(first)} and {self.name(others[0][0])}"
             raise self.fault(f"two skeletons, below {names}; expected one character per file")
-        return {node for node in wanted if tops[node] == first}
+        return {node for node in needed if tops[node] == first}
 
     def unmoved(self, hips: int) -> bool:
         """Whether there are meshes, and none of them moves with the hips, by a skin or as a part below them."""
@@ -174,8 +177,40 @@ class GltfNodes:
         for node in self.order:
             if self.parents[node] in moved:
                 moved.add(node)
-        shown = [node for node, entry in enumerate(self.nodes) if "mesh" in entry]
-        return bool(shown) and not any("skin" in self.nodes[node] or node in moved for node in shown)
+        with_mesh = [node for node, entry in enumerate(self.nodes) if "mesh" in entry]
+        return bool(with_mesh) and not any("skin" in self.nodes[node] or node in moved for node in with_mesh)
+
+    def vertices(self) -> Iterator[tuple[dict[str, Any], Array, Array, Array]]:
+        """Of each part of a mesh with a skin: the skin, places (N, 3), which of its joints (N, 4), and weights (N, 4).
+
+        Raises:
+            MotionkitError: they are compressed, or damaged where an animation does not need them.
+        """
+        for entry in self.nodes:
+            if "mesh" not in entry or "skin" not in entry:
+                continue
+            skin, mesh = self.file.item("skins", entry["skin"]), self.file.item("meshes", entry["mesh"])
+            joints, parts = self.indices(skin.get("joints"), "joints of a skin"), mesh.get("primitives")
+            for part in parts if isinstance(parts, list) else []:
+                attributes = part.get("attributes") if isinstance(part, dict) else None
+                if not isinstance(attributes, dict):
+                    raise self.fault("a mesh has a part without attributes")
+                places, weights = (
+                    self.file.array(attributes.get(name), width)
+                    for name, width in (("POSITION", 3), ("WEIGHTS_0", 4))
+                )
+                which = self.file.whole_numbers(attributes.get("JOINTS_0"), 4)
+                if len({len(places), len(weights), len(which)}) > 1 or which.max() >= len(joints):
+                    raise self.fault("a mesh whose vertices are bound to joints that its skin does not have")
+                yield skin, places, which, weights
+
+    def bound(self) -> set[int]:
+        """The nodes that vertices move with, as far as meshes can be read."""
+        out: set[int] = set()
+        with contextlib.suppress(MotionkitError):
+            for skin, _, which, weights in self.vertices():
+                out.update(skin["joints"][joint] for joint in np.unique(which[weights > 0.0]))
+        return out
 
     def names(self, nodes: list[int]) -> tuple[str, ...]:
         """Unique names of joints that a BVH file can hold."""

@@ -11,10 +11,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.errors import MotionkitError, naming
 from motionkit.files import atomic_write, read_text
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
-from motionkit.rig.names import RigMap, given_map
+from motionkit.rig.names import RigMap, user_map
 
 _MOST_BYTES = 2**20
 
@@ -38,12 +38,10 @@ def read_rig_map(path: str | Path, skeleton: Skeleton) -> RigMap:
         if joint not in skeleton.names:
             raise MotionkitError(f"{path}: the rig has no joint {joint[:40]!r}{_near(joint, skeleton.names)}")
     joints = read_joints(path)
-    try:
-        return given_map(
+    with naming(path):
+        return user_map(
             skeleton, {name: skeleton.index(joints[name]) for name in JOINT_NAMES if name in joints}
         )
-    except SkeletonError as error:
-        raise SkeletonError(f"{path}: {error}") from None
 
 
 def read_joints(path: str | Path) -> dict[str, str]:

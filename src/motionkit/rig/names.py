@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -17,8 +18,9 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
-from motionkit.reading import told_joints
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, mirrored_name
+from motionkit.reading import user_joints
+from motionkit.rig.handedness import OPPOSED, handedness
 from motionkit.rig.shape import ShapeGuess, limbs_by_shape
 from motionkit.rig.sides import joint_sides
 
@@ -74,6 +76,8 @@ _HANGS = {
     "ForeArm": "Arm",
     "Hand": "ForeArm",
 }
+# What is said of a rig whose sides are exchanged.
+EXCHANGED = "left and right are exchanged: by the names of the joints, the feet would point backwards"
 _HELPERS = ("ik", "pole", "target")  # words before a part that mark a helper, such as ik_foot_l
 _TOKENS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _WORD = "|".join(sorted(WORDS, key=len, reverse=True))
@@ -93,8 +97,9 @@ class RigMap:
             names disagree with the shape; other joints have 1.
         by_shape: limb joints found by shape, because their names are unknown.
         by_name: joints between the limbs whose names confirm them.
-        sides_sure: probability that left is left; below 1 only if no name tells.
-        given: source of the map, such as "map" for a user's bone map; "" if the joints were found.
+        sides_sure: probability that left is left; below 1 only if no name says so.
+        source: of the map, such as "map" for a user's bone map; "" if the joints were found.
+        exchanged: whether left joints bear the names of right ones, because feet would point backwards by the names.
     """
 
     places: dict[str, int]
@@ -103,7 +108,8 @@ class RigMap:
     by_shape: frozenset[str] = frozenset()
     by_name: frozenset[str] = frozenset()
     sides_sure: float = 1.0
-    given: str = ""
+    source: str = ""
+    exchanged: bool = False
 
     def sure(self, name: str) -> float:
         """Probability from 0 to 1 that a canonical joint is right."""
@@ -112,12 +118,26 @@ class RigMap:
 
     def found(self, name: str) -> str:
         """How a joint was found: "map", "VRM", "name", "shape", or "place" for an unnamed joint between the limbs."""
-        if self.given:
-            return self.given
+        if self.source:
+            return self.source
         if name in self.by_shape:
             return "shape"
         between = name in SPINE_SHARES or name in _BETWEEN
         return "place" if between and name not in self.by_name else "name"
+
+    def pair(self, part: str) -> list[int]:
+        """The left and the right joint of a part, such as "UpLeg", that the source has."""
+        return [self.places[f"{side}{part}"] for side in ("Left", "Right")]
+
+    def with_sides_exchanged(self) -> RigMap:
+        """The map, found by names, that takes left joints for right ones, and right ones for left ones."""
+        return RigMap(
+            {mirrored_name(name): joint for name, joint in self.places.items()},
+            {mirrored_name(name): joint for name, joint in self.turns.items()},
+            {mirrored_name(name): sure for name, sure in self.likely.items()},
+            by_name=frozenset(map(mirrored_name, self.by_name)),
+            exchanged=not self.exchanged,
+        )
 
     def missing(self) -> tuple[str, ...]:
         """Canonical joints that the source lacks."""
@@ -151,35 +171,45 @@ def tables() -> dict[str, Any]:
 
 
 def map_rig(skeleton: Skeleton, poses: Array | None = None) -> RigMap:
-    """Find the canonical joints in a skeleton.
+    """Find the canonical joints in a skeleton; raises SkeletonError if it is not a human rig, or a limb is missing.
 
-    Args:
-        skeleton: any rig.
-        poses: (P, J, 3) recorded joint positions, which help to find limbs with unknown names.
-
-    Raises:
-        SkeletonError: it is not a human rig, or a limb is missing.
+    Recorded joint positions (P, J, 3) help to find limbs with unknown names.
     """
-    told = told_places(skeleton)
-    return _Mapper(skeleton).map(poses) if told is None else given_map(skeleton, told)
+    places = user_places(skeleton)
+    if places is not None:
+        return user_map(skeleton, places)
+    if poses is not None:
+        return _Mapper(skeleton).map(poses)
+    offsets = skeleton.offsets
+    ends = tuple(skeleton.end_sites.items())
+    return _map_of_rest(skeleton.names, skeleton.parents, offsets.tobytes(), offsets.dtype.char, ends)
 
 
-def told_places(skeleton: Skeleton) -> dict[str, int] | None:
+@lru_cache(maxsize=64)  # most clips of a folder are of one rig, and a command asks several times
+def _map_of_rest(
+    names: tuple[str, ...], parents: tuple[int, ...], offsets: bytes, kind: str, ends: tuple[Any, ...]
+) -> RigMap:
+    """The map of a skeleton by its names and rest pose; the arguments are its fields as values that can be compared."""
+    places = np.frombuffer(offsets, kind).reshape(-1, 3)
+    return _Mapper(Skeleton(names, parents, places, dict(ends))).map(None)
+
+
+def user_places(skeleton: Skeleton) -> dict[str, int] | None:
     """The canonical joints that the user gives, if the skeleton has all of their joints."""
-    joints = told_joints() or {}
+    joints = user_joints() or {}
     if not joints or not set(joints.values()) <= set(skeleton.names):
         return None
     return {name: skeleton.index(joints[name]) for name in JOINT_NAMES if name in joints}
 
 
-def given_map(skeleton: Skeleton, places: dict[str, int]) -> RigMap:
+def user_map(skeleton: Skeleton, places: dict[str, int]) -> RigMap:
     """The map of a skeleton with known canonical joints; raises SkeletonError if they cannot be a body."""
-    return _Mapper(skeleton).given(places)
+    return _Mapper(skeleton).from_user(places)
 
 
-def map_around(skeleton: Skeleton, limbs: dict[str, int], given: str) -> RigMap:
+def map_around(skeleton: Skeleton, limbs: dict[str, int], source: str) -> RigMap:
     """The map of a skeleton whose limbs, hips and head come from a file; given names the kind of file."""
-    return _Mapper(skeleton).around(limbs, given)
+    return _Mapper(skeleton).around(limbs, source)
 
 
 class _Mapper:
@@ -207,15 +237,27 @@ class _Mapper:
         self._hips()
         self._torso()
         sides_sure = guess.sides_sure if guess and by_shape else 1.0
-        return replace(
+        found = replace(
             self._rig_map(),
             likely=self._likely(guess, by_shape),
             by_shape=by_shape,
             by_name=self._by_name(),
             sides_sure=sides_sure,
         )
+        return found.with_sides_exchanged() if not by_shape and self._backwards() else found
 
-    def around(self, limbs: dict[str, int], given: str) -> RigMap:
+    def _backwards(self) -> bool:
+        """Whether the feet of a standing rest pose point backwards by the names, which then exchange left and right."""
+        places, points = dict(self.places), list(self.rest)
+        for side in ("Left", "Right"):
+            foot = self.places.get(f"{side}Foot")
+            if foot in self.skeleton.end_sites and f"{side}ToeBase" not in places:
+                places[f"{side}ToeBase"] = len(points)
+                points.append(self.rest[foot] + self.skeleton.end_sites[foot])
+        agree, toes = handedness(places, np.array(points)[None])
+        return agree > -OPPOSED and toes is not None and toes < OPPOSED
+
+    def around(self, limbs: dict[str, int], source: str) -> RigMap:
         """The map around known limbs, hips and head."""
         self.places = dict(limbs)
         self._require()
@@ -223,7 +265,7 @@ class _Mapper:
         if "Hips" not in limbs:
             self._hips()
         self._torso()
-        return replace(self._rig_map(), given=given)
+        return replace(self._rig_map(), source=source)
 
     def _torso(self) -> None:
         chest = self._spine()
@@ -231,13 +273,13 @@ class _Mapper:
         for side in ("Left", "Right"):
             self._collar(side, chest)
 
-    def given(self, places: dict[str, int]) -> RigMap:
+    def from_user(self, places: dict[str, int]) -> RigMap:
         self.places = places
         lacking = [name for name in ("Hips", *_NEEDED) if name not in places]
         if lacking:
             raise SkeletonError(f"no joint is mapped to {', '.join(lacking)}")
         self._check_limbs()
-        return replace(self._rig_map(), given="map")
+        return replace(self._rig_map(), source="map")
 
     def _check_limbs(self) -> None:
         """Raise SkeletonError for a limb joint that does not descend from the mapped joint above it."""
@@ -248,7 +290,7 @@ class _Mapper:
             side = "Left" if name.startswith("Left") else "Right"
             above = above if above == "Hips" else f"{side}{above}"
             top = self.places.get(above)
-            if top is not None and top not in self.path(joint)[:-1]:
+            if top is not None and top not in self.skeleton.path(joint)[:-1]:
                 raise SkeletonError(
                     f"{self.names[joint]} is mapped to {name} but does not hang from {self.names[top]}, "
                     f"which is mapped to {above}"
@@ -288,31 +330,21 @@ class _Mapper:
             side, part = self.parts[joint]
             sided = next((one for one in ("Left", "Right") if name.startswith(one)), "")
             if name in SPINE_SHARES:
-                said = _SPINE_WORDS.search(self.names[joint]) is not None
+                confirmed = _SPINE_WORDS.search(self.names[joint]) is not None
             else:
-                said = side == sided and part in _BETWEEN.get(name, ())
-            if said:
+                confirmed = side == sided and part in _BETWEEN.get(name, ())
+            if confirmed:
                 found.add(name)
         return frozenset(found)
 
     def _lacking(self) -> set[str]:
         return {name for name in _NEEDED if name not in self.places}
 
-    def path(self, joint: int) -> list[int]:
-        """The joints from the root to a joint, both included."""
-        out = [joint]
-        while self.parents[out[-1]] >= 0:
-            out.append(self.parents[out[-1]])
-        return out[::-1]
-
     def common(self, *joints: int) -> int:
         """The deepest common ancestor of these joints, which may be one of them."""
-        paths = [self.path(joint) for joint in joints]
+        paths = [self.skeleton.path(joint) for joint in joints]
         shared = [steps[0] for steps in zip(*paths, strict=False) if len(set(steps)) == 1]
         return shared[-1]
-
-    def children(self, joint: int) -> list[int]:
-        return [j for j, parent in enumerate(self.parents) if parent == joint]
 
     def find(self, side: str, *parts: str, under: int | None = None, carries: bool = False) -> int | None:
         """The joint of one of these parts with the most descendants, below `under` if given.
@@ -325,7 +357,7 @@ class _Mapper:
             if joint_side == side
             and part in parts
             and self.subtree[j] > carries
-            and (under is None or under in self.path(j)[:-1])
+            and (under is None or under in self.skeleton.path(j)[:-1])
         ]
         return max(found, key=lambda j: (self.subtree[j], -j), default=None)
 
@@ -376,7 +408,7 @@ class _Mapper:
     def _hips(self) -> None:
         thighs = self.places["LeftUpLeg"], self.places["RightUpLeg"]
         fork = self.common(*thighs)
-        above = [j for j in self.path(fork) if self.parts[j] in (("", "hips"), ("", "hip"))]
+        above = [j for j in self.skeleton.path(fork) if self.parts[j] in (("", "hips"), ("", "hip"))]
         if fork in thighs:
             raise SkeletonError(
                 f"one thigh is a descendant of the other: {', '.join(self.names[j] for j in thighs)}"
@@ -387,7 +419,7 @@ class _Mapper:
         """Map the spine joints; returns the chest, the last common ancestor of both arms."""
         fork = self.common(self.places["LeftArm"], self.places["RightArm"])
         below = self.common(self.places["Hips"], fork)
-        path = self.path(fork)
+        path = self.skeleton.path(fork)
         spine = [j for j in path[path.index(below) + 1 :] if self.parts[j][1] not in ("neck", "head")]
         chest = spine[-1] if spine else fork
         picked = spine if len(spine) <= 3 else [spine[0], spine[len(spine) // 2], chest]
@@ -400,7 +432,7 @@ class _Mapper:
 
     def length(self, above: int, below: int) -> float:
         """Rest length along the hierarchy from the common ancestor to `below`."""
-        path = self.path(below)
+        path = self.skeleton.path(below)
         start = path.index(self.common(above, below))
         return float(sum(np.linalg.norm(self.offsets[j]) for j in path[start + 1 :]))
 
@@ -413,7 +445,7 @@ class _Mapper:
                 self.put("Neck", neck)
                 return
             head = self.places["Head"]
-        path = self.path(head)
+        path = self.skeleton.path(head)
         neck_joints = path[path.index(chest) + 1 : -1]
         if neck_joints:
             self.places["Neck"] = neck_joints[0]
@@ -429,7 +461,11 @@ class _Mapper:
         arms = {self.places["LeftArm"], self.places["RightArm"]}
 
         def free(joint: int) -> list[int]:
-            return [j for j in self.children(joint) if not any(j in self.path(arm) for arm in arms)]
+            return [
+                j
+                for j in self.skeleton.children(joint)
+                if not any(j in self.skeleton.path(arm) for arm in arms)
+            ]
 
         chain: list[int] = []
         here = chest
@@ -447,11 +483,11 @@ class _Mapper:
     def reach(self, joint: int) -> float:
         """The longest path from a joint's parent through the joint to the end of a branch."""
         end = float(np.linalg.norm(self.skeleton.end_sites.get(joint, (0.0, 0.0, 0.0))))
-        below = max((self.reach(child) for child in self.children(joint)), default=end)
+        below = max((self.reach(child) for child in self.skeleton.children(joint)), default=end)
         return below + (float(np.linalg.norm(self.offsets[joint])) if joint else 0.0)
 
     def _collar(self, side: str, chest: int) -> None:
-        path = self.path(self.places[f"{side}Arm"])
+        path = self.skeleton.path(self.places[f"{side}Arm"])
         between = path[path.index(chest) + 1 : -1] if chest in path else []
         between = [j for j in between if self.parts[j][1] != "neck"]
         if between:

@@ -8,23 +8,21 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.errors import SkeletonError
-from motionkit.motion.bvh import bvh_to_motion
+from motionkit.errors import SkeletonError, naming
+from motionkit.motion.bvh import BvhFile, bvh_to_motion
 from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
-from motionkit.reading import tell
+from motionkit.reading import report_notes
 from motionkit.rig.built_in import rig_file
 from motionkit.rig.character import read_character
 from motionkit.rig.map_file import read_rig_map
 from motionkit.rig.pose import map_file
 from motionkit.rig.read_file import is_gltf, read_file
 from motionkit.rig.retarget import RetargetReport, retarget
-from motionkit.rig.rig import Rig, make_rig, read_joints_rig, top_joint
+from motionkit.rig.rig import Rig, make_rig, top_joint
 from motionkit.rig.to_rig import rig_bvh
-
-NO_RIGS = (".vrma", ".gltf", ".usd", ".usda", ".usdc", ".usdz")  # known, but not read
 
 
 def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
@@ -39,21 +37,22 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
         MotionkitError: the file or the map cannot be used, or the rig is not a human one.
     """
     path = rig_file(path)
-    ending = path.suffix.lower()
-    if ending in NO_RIGS:
-        raise SkeletonError(f"{path}: expected a rig, such as a .bvh, .glb or .vrm file, found {ending}")
     if not is_gltf(path):
-        return read_joints_rig(path, map_path)
+        bvh = read_file(path)
+        joints = None if map_path is None else read_rig_map(map_path, bvh.skeleton)
+        with naming(path):
+            return make_rig(bvh, path.name, joints)
     found = read_character(path)
     joints = None if map_path is None else read_rig_map(map_path, found.skeleton)
-    try:
+    with naming(path):
         joints = joints or map_file(found.bvh({0}))
         if found.tree.unmoved(found.nodes[joints.places["Hips"]]):
-            tell(path, ("meshes that no skin binds to its bones, so they will not move",))
-        bvh = found.bvh({0, top_joint(found.skeleton, joints)})
-        return replace(make_rig(bvh, Path(path).name, joints), character=found)
-    except SkeletonError as error:
-        raise SkeletonError(f"{path}: {error}") from None
+            report_notes(path, ("meshes that no skin binds to its bones, so they will not move",))
+        top, skin = top_joint(found.skeleton, joints), found.tree.bound()
+        # Skin of the root bone, or of a prop below it, would stay behind if the hips alone moved.
+        beside = {node for j, node in enumerate(found.nodes) if not found.skeleton.descends(j, top)}
+        bvh = found.bvh({0} if skin & beside else {0, top})
+        return replace(make_rig(bvh, path.name, joints), character=found)
 
 
 def from_rig(motion: Motion, rig: Rig) -> Motion:
@@ -69,24 +68,13 @@ def read_clip(path: str | Path, rig: Rig) -> Motion:
     return motion
 
 
-def read_motion(
-    path: str | Path, rig: Rig | None = None, scale: float | None = None
-) -> tuple[Motion, RetargetReport]:
-    """Read a file of any human rig as a motion on the canonical joints, with standing toes on the floor.
+def canonical_on_floor(bvh: BvhFile, rig: Rig | None = None) -> tuple[Motion, RetargetReport]:
+    """The motion of a file of any human rig on the canonical joints, with standing toes on the floor.
 
-    Args:
-        path: the file.
-        rig: its rig, if known; found by default.
-        scale: cm per file unit; detected by default.
-
-    Raises:
-        BvhError, SkeletonError: the file cannot be read, or its rig is not a human one.
+    The rig is found if it is not known. Raises SkeletonError if it is not a human one, or has other joints than the
+    file.
     """
-    bvh = read_file(path)
-    try:
-        motion, report = retarget(bvh, scale, rig=rig)
-    except SkeletonError as error:
-        raise SkeletonError(f"{path}: {error}") from None
+    motion, report = retarget(bvh, rig=rig)
     return on_the_floor(motion), report
 
 
@@ -97,12 +85,10 @@ def on_the_floor(motion: Motion) -> Motion:
     return replace(motion, root_positions=motion.root_positions + up)
 
 
-def read_on_any_rig(
-    path: str | Path, target: Rig | None = None, scale: float | None = None
-) -> tuple[Motion, RetargetReport]:
-    """Like read_motion; a file on the target rig is read with that rig's joint map, up axis and rest pose."""
-    own = target is not None and target.same_rest(read_file(path).skeleton)
-    return read_motion(path, target if own else None, scale)
+def canonical_for(bvh: BvhFile, target: Rig | None) -> tuple[Motion, RetargetReport]:
+    """Like canonical_on_floor; a file on the target rig is read with that rig's joint map, up axis and rest pose."""
+    same_rest = target is not None and target.same_rest(bvh.skeleton)
+    return canonical_on_floor(bvh, target if same_rest else None)
 
 
 def canonical_places(motion: Motion) -> Array:

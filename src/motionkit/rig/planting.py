@@ -20,15 +20,10 @@ MAX_SHIFT = 15.0  # cm; largest shift of a foot
 
 
 def plant_feet(motion: Motion, part: str, places: Array) -> Motion:
-    """Move the feet of a motion over the ground to given places.
+    """Move the feet of a motion on the canonical joints, in cm, over the ground to given places.
 
-    Args:
-        motion: T frames on the canonical joints, in cm.
-        part: the joint to move, "ToeBase" or "Foot".
-        places: (T, 2, 3) targets of the left and the right joint in cm; heights are not used.
-
-    Returns:
-        The motion with changed leg rotations.
+    part is the joint to move, "ToeBase" or "Foot", places (T, 2, 3) the targets of the left and the right one in cm,
+    whose heights are not used. Only rotations of the legs change.
     """
     turns, positions = motion_kinematics(motion)
     shifts = places - positions[:, TOES if part == "ToeBase" else ANKLES]

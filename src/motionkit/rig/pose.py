@@ -9,30 +9,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motionkit.arrays import Array, cross, length, normalized
+from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, bvh_to_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_angle, quat_inverse, quat_multiply, quat_rotate
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
-from motionkit.rig.names import RigMap, map_around, map_rig, told_places
+from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.rig.handedness import OPPOSED, handedness
+from motionkit.rig.names import EXCHANGED, RigMap, map_around, map_rig, user_places
 from motionkit.rig.rest_pose import (
     SIDES,
     SourceRig,
     body_frame,
+    is_standing,
     longest_bone,
     named_end,
     posed_differences,
     rest_differences,
-    stands,
     tiny_length,
 )
 from motionkit.rig.up_axis import human_up, up_name, up_turn
 
 _BACKWARDS = 0.5  # share of its length by which a foot may point backwards in the rest pose
-# Mean cosine between the left-right axes of hips and shoulders below which left and right of one are exchanged.
-_OPPOSED = -0.5
-_STRAIGHT = 0.8  # legs are straight if feet are further below the hips than this share of the leg length
+_NOTED = 5.0  # degrees by which a rest pose differs that is reported
 _POSES = 3  # frames up to which a file shows poses and no motion
 SAMPLES = 32  # recorded poses from which a rig without known names is mapped
 
@@ -77,7 +76,7 @@ class RigPose:
 
 def map_file(bvh: BvhFile) -> RigMap:
     """Map the canonical joints of a file; raises SkeletonError if it is not a human rig."""
-    if bvh.humanoid and told_places(bvh.skeleton) is None:
+    if bvh.humanoid and user_places(bvh.skeleton) is None:
         return map_around(bvh.skeleton, bvh.humanoid, "VRM")
     few = replace(bvh, values=bvh.values[:: max(1, len(bvh.values) // SAMPLES)])
     return map_rig(bvh.skeleton, motion_kinematics(bvh_to_motion(few))[1])
@@ -88,11 +87,8 @@ def study_rig(
 ) -> RigPose:
     """Study the rig of a file with mapped joints; call median_offsets first.
 
-    Args:
-        bvh: the file.
-        rig: its canonical joints.
-        fps: frame rate, if the file's header is wrong.
-        known: the up axis (3,) and the differences (23, 4), if they are known already.
+    known has the up axis (3,) and the differences (23, 4), if they are known already. fps is for files with a wrong
+    header.
     """
     bvh, rig = _keep_needed(bvh, rig)
     source = SourceRig(bvh.skeleton, rig, bvh.skeleton.rest_positions())
@@ -100,7 +96,7 @@ def study_rig(
     if known is None:
         _check_sides(source, positions)
     frame = body_frame(source)
-    standing = stands(source, frame)
+    standing = is_standing(source, frame)
     up = known[0] if known else human_up(source, positions)
     rotations, positions = _turned_up(up, rotations, positions)
     if known:
@@ -126,7 +122,7 @@ def _pose_differences(source: SourceRig, rotations: Array, positions: Array) -> 
     posed = replace(source.skeleton, offsets=offsets, end_sites=ends)
     stood = SourceRig(posed, source.rig, posed.rest_positions())
     frame = body_frame(stood)
-    if not stands(stood, frame):
+    if not is_standing(stood, frame):
         return posed_differences(source, rotations, positions)
     turns = [source.rig.turns.get(name, source.rig.places["Hips"]) for name in JOINT_NAMES]
     return quat_multiply(quat_inverse(rotations[0, turns]), rest_differences(stood, frame))
@@ -175,12 +171,9 @@ def _backwards(source: SourceRig) -> SkeletonError:
 
 def _check_sides(source: SourceRig, positions: Array) -> None:
     """Raise SkeletonError if recorded positions (T, J, 3) show that left and right of legs or arms are exchanged."""
-    hips, arms = (_pair(source, positions, part) for part in ("UpLeg", "Arm"))
-    across = normalized(hips[0] - hips[1])
-    up = normalized(arms[0] + arms[1] - hips[0] - hips[1])
-    toes = _toes_ahead(source, positions, up, cross(across, up))
-    if not float((across * normalized(arms[0] - arms[1])).sum(-1).mean()) < _OPPOSED:
-        if toes is not None and toes < _OPPOSED:
+    agree, toes = handedness(source.rig.places, positions)
+    if not agree < OPPOSED:
+        if toes is not None and toes < OPPOSED:
             raise _backwards(source)
         return
     legs, hands = _names(source, "UpLeg"), _names(source, "Arm")
@@ -196,35 +189,9 @@ def _check_sides(source: SourceRig, positions: Array) -> None:
     )
 
 
-def _toes_ahead(source: SourceRig, positions: Array, up: Array, ahead: Array) -> float | None:
-    """Mean cosine between feet and the forward direction (T, 3) of the hips; None without toes.
-
-    Only frames with straight legs below the body count, because the toes of a kneeling body point backwards.
-    """
-    if not all(f"{side}{part}" in source.rig.places for side in SIDES for part in ("Foot", "ToeBase")):
-        return None
-    hips, knees, feet, toes = (_pair(source, positions, part) for part in ("UpLeg", "Leg", "Foot", "ToeBase"))
-    legs = sum(length(knees[i] - hips[i]) + length(feet[i] - knees[i]) for i in (0, 1))
-    straight = ((hips[0] + hips[1] - feet[0] - feet[1]) * up).sum(-1) > _STRAIGHT * legs
-    if not bool(straight.any()):
-        return None
-    way = toes[0] + toes[1] - feet[0] - feet[1]
-    level = normalized(way) - (normalized(way) * up).sum(-1, keepdims=True) * up
-    return float(
-        (level * normalized(ahead)).sum(-1)[straight].mean()
-    )  # about 0 if the toes lie under the ankles
-
-
-def _names(source: SourceRig, part: str) -> tuple[str, str]:
+def _names(source: SourceRig, part: str) -> list[str]:
     """Names of the rig's left and right joint of a part."""
-    left, right = (source.skeleton.names[source.rig.places[f"{side}{part}"]] for side in SIDES)
-    return left, right
-
-
-def _pair(source: SourceRig, positions: Array, part: str) -> tuple[Array, Array]:
-    """Positions (T, 3) of the left and the right joint of a part."""
-    left, right = (positions[:, source.rig.places[f"{side}{part}"]] for side in SIDES)
-    return left, right
+    return [source.skeleton.names[joint] for joint in source.rig.pair(part)]
 
 
 def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
@@ -233,35 +200,29 @@ def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
     A bone that ended in such a joint gets an End Site.
     """
     skeleton = bvh.skeleton
-    needed: set[int] = set()
-    for joint in (*rig.places.values(), *rig.turns.values()):
-        while joint >= 0 and joint not in needed:
-            needed.add(joint)
-            joint = skeleton.parents[joint]
-    keep = sorted(needed)
+    mapped = {*rig.places.values(), *rig.turns.values()}
+    keep = sorted({joint for one in mapped for joint in skeleton.path(one)})
     new = {joint: index for index, joint in enumerate(keep)}
-    parents = tuple(new[skeleton.parents[j]] if skeleton.parents[j] >= 0 else -1 for j in keep)
+    kept = bvh.picked(keep)
     ends: dict[int, tuple[float, float, float]] = {}
     tiny = tiny_length(skeleton)
     names = {joint: name for name, joint in rig.places.items()}
     for joint in keep:
-        if new[joint] in parents:
+        if new[joint] in kept.skeleton.parents:
             continue
         end = named_end(skeleton, names.get(joint, ""), joint, tiny)
         if end is not None:
             ends[new[joint]] = (float(end[0]), float(end[1]), float(end[2]))
-    kept = Skeleton(tuple(skeleton.names[j] for j in keep), parents, skeleton.offsets[keep], ends)
-    columns = bvh.columns()
-    values = bvh.values[:, [column for j in keep for column in columns[j]]]
-    small = BvhFile(kept, tuple(bvh.channels[j] for j in keep), values, bvh.frame_time)
+    small = replace(kept, skeleton=replace(kept.skeleton, end_sites=ends))
     places = {name: new[j] for name, j in rig.places.items()}
-    return small, RigMap(places, {name: new[j] for name, j in rig.turns.items()})
+    turns = {name: new[j] for name, j in rig.turns.items()}
+    return small, RigMap(places, turns, exchanged=rig.exchanged)
 
 
 def pose_notes(pose: RigPose) -> tuple[str, ...]:
     """Notes on how the source's axes and rest pose differ."""
     up, frame, differences = pose.up, pose.frame, pose.differences
-    notes = []
+    notes = [EXCHANGED] if pose.source.rig.exchanged else []
     if float(up[1]) < 0.5:
         notes.append(f"up axis {up_name(up)} turned to +Y")
     if not pose.standing:
@@ -272,11 +233,10 @@ def pose_notes(pose: RigPose) -> tuple[str, ...]:
     if axis != 2 or float(facing[axis]) < 0:
         notes.append(f"the rest pose faces {'+' if float(facing[axis]) > 0 else '-'}{'XYZ'[axis]}")
     apart = np.rad2deg(quat_angle(np.broadcast_to(frame, differences.shape), differences))
-    turned = [
-        f"{name} {angle:.0f}" for name, angle in zip(JOINT_NAMES, apart.tolist(), strict=True) if angle > 5
-    ]
-    if turned:
+    most = int(apart.argmax())
+    if apart[most] > _NOTED:
         notes.append(
-            f"the rest pose differs from motionkit's, which is handled; in degrees: {', '.join(turned)}"
+            f"the rest pose differs from motionkit's, by up to {apart[most]:.0f} degrees ({JOINT_NAMES[most]}); "
+            "this is handled"
         )
     return tuple(notes)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from motionkit.errors import MotionkitError
+from motionkit.errors import BvhError, MotionkitError
 from motionkit.files import files_below
 from motionkit.motion.acclaim import read_acclaim
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh
 from motionkit.motion.npz import has_motion, read_npz
 from motionkit.motion.skeleton import Skeleton
-from motionkit.reading import tell, told_joints
+from motionkit.reading import report_notes, user_joints
 from motionkit.rig.character import read_character
 from motionkit.rig.fbx import ENDING as FBX
 from motionkit.rig.read_glb import motion_of
@@ -43,19 +43,29 @@ def read_file(path: str | Path, clip: str | None = None) -> BvhFile:
         character = read_character(path)
         found = character.named(motion_to_bvh(motion_of(character, clip)[1]))
     else:
-        found = READERS.get(Path(path).suffix.lower(), read_bvh)(path)
+        found = READERS.get(Path(path).suffix.lower(), _read_unknown)(path)
     _check_map(path, found.skeleton)
     return found
 
 
+def _read_unknown(path: str | Path) -> BvhFile:
+    """Read a file with an unknown ending as BVH."""
+    try:
+        return read_bvh(path)
+    except BvhError as error:
+        known = ", ".join((*READERS, *GLTF_ENDINGS))
+        found = f"{error.found}; the name of a file of another kind ends in {known}"
+        raise BvhError(error.path, found, error.line) from None
+
+
 def _check_map(path: str | Path, skeleton: Skeleton) -> None:
-    """Raise MotionkitError for a file that has some joints of the user's bone map only; tell of one that has none."""
-    joints = set((told_joints() or {}).values())
+    """Raise MotionkitError for a file that has some joints of the user's bone map only; report one that has none."""
+    joints = set((user_joints() or {}).values())
     lacking = sorted(joints - set(skeleton.names))
     if lacking and len(lacking) < len(joints):
         raise MotionkitError(f"{path}: has no joint {lacking[0][:40]!r}, which the bone map names")
     if lacking:
-        tell(path, ("its joints found by name and shape, because the bone map names none of them",))
+        report_notes(path, ("its joints found by name and shape, because the bone map names none of them",))
 
 
 def motion_files(folder: str | Path) -> list[Path]:
@@ -78,6 +88,6 @@ def is_bvh(path: str | Path) -> bool:
     return not is_gltf(path) and READERS.get(Path(path).suffix.lower(), read_bvh) is read_bvh
 
 
-def told_endings() -> str:
+def endings_text() -> str:
     """The endings of files that are looked for in folders, in words."""
     return f"{', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}"

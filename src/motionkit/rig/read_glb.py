@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from motionkit.arrays import Array, Doubles, lerp
+from motionkit.errors import MotionkitError, naming
+from motionkit.free_memory import check_memory
 from motionkit.motion.bvh_rows import Notes, filled, filled_turns
 from motionkit.motion.frame_rate import nominal_rate
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import matrix_to_quat, quat_normalize, quat_slerp, quat_to_matrix
 from motionkit.names import visible
-from motionkit.reading import ALL, tell, told_animation
-from motionkit.rig.character import Character, nearest_rotations, read_character
+from motionkit.reading import ALL, report_notes, user_animation
+from motionkit.rig.character import Character, nearest_rotations
 from motionkit.rig.gltf import GltfFile
 
 CM = 100.0
 FPS = 60.0  # rate of a file whose keys are not evenly spaced, or further than a second apart
 FASTEST, LONGEST = 480.0, 3600.0  # frames per second, and seconds, of the fastest and the longest animation
-MOST_POSES = 2**23  # joints times frames; an hour of 77 joints at 30 fps
+MOST_POSES = 2**23  # joints times frames between a few keys; an hour of 77 joints at 30 fps
 KEY_WITHIN = 1e-3  # share of the time between keys; a frame this little before a key counts as at the key
 _WIDTHS = {"rotation": 4, "translation": 3, "scale": 3}
 
@@ -60,17 +61,11 @@ class Track:
         return lerp(values[before], values[after], share)
 
 
-def read_glb(path: str | Path, clip: str | None = None) -> Motion:
-    """Read an animation of a .glb or .vrm file in cm; raises MotionkitError, naming the file.
-
-    Args:
-        clip: name of the animation; needed if the file has several.
-    """
-    return motion_of(read_character(path), clip)[1].scaled(CM)
-
-
 def motion_of(character: Character, clip: str | None = None) -> tuple[str, Motion]:
-    """The name and the motion, in metres, of an animation of a character; arguments and errors as for read_glb."""
+    """The name and the motion, in metres, of an animation of a character, by its name if there are several.
+
+    Raises MotionkitError, naming the file.
+    """
     file = character.tree.file
     name, animation = _animation(file, clip)
     tracks = _tracks(file, animation, _moving(character))
@@ -106,7 +101,7 @@ def clip_lengths(file: GltfFile) -> list[tuple[str, float]]:
 
 
 def _last_key(file: GltfFile, sampler: dict[str, Any]) -> float:
-    """The time of the last key as the accessor tells it, which glTF demands; nothing is read for it."""
+    """The time of the last key as the accessor gives it, which glTF demands; nothing is read for it."""
     largest = file.item("accessors", sampler.get("input")).get("max")
     if not isinstance(largest, list) or len(largest) != 1 or type(largest[0]) not in (int, float):
         return 0.0
@@ -116,22 +111,24 @@ def _last_key(file: GltfFile, sampler: dict[str, Any]) -> float:
 def _animation(file: GltfFile, clip: str | None) -> tuple[str, dict[str, Any]]:
     """The name and the animation of a name, by default the chosen one or the only one."""
     clips = clip_lengths(file)
-    clip = clip or (told_animation() if len(clips) > 1 and told_animation() != ALL else None)
-    told = ", ".join(f"{visible(name)} ({seconds:.2f} s)" for name, seconds in clips)
+    clip = clip or (user_animation() if len(clips) > 1 and user_animation() != ALL else None)
+    listed = ", ".join(f"{visible(name)} ({seconds:.2f} s)" for name, seconds in clips)
     if not clips:
         raise file.fault("has no animation; as a rig it can be given with --rig")
-    asked = told_animation()
-    if len(clips) == 1 and asked not in (None, ALL, clips[0][0]):
-        tell(
+    requested = user_animation()
+    if len(clips) == 1 and requested not in (None, ALL, clips[0][0]):
+        report_notes(
             file.path,
-            (f"its only animation, {visible(clips[0][0])}, for it has none called {visible(str(asked))}",),
+            (
+                f"its only animation, {visible(clips[0][0])}, for it has none called {visible(str(requested))}",
+            ),
         )
     if clip is None and len(clips) > 1:
-        raise file.fault(f"has {len(clips)} animations, choose one with --clip: {told}")
+        raise file.fault(f"has {len(clips)} animations, choose one with --clip: {listed}")
     found = [i for i, (name, _) in enumerate(clips) if clip in (None, name)]
     if len(found) != 1:
         what = "no animation" if not found else f"{len(found)} animations"
-        raise file.fault(f"has {what} called {visible(clip)}; it has: {told}")
+        raise file.fault(f"has {what} called {visible(clip)}; it has: {listed}")
     return clips[found[0]][0], file.items("animations")[found[0]]
 
 
@@ -171,21 +168,21 @@ def _tracks(file: GltfFile, animation: dict[str, Any], moving: set[int]) -> list
         if (node, path) in seen:
             raise file.fault(f"two channels of an animation move the {path} of node {node}")
         seen.add((node, path))
-        given: Any = samplers[which].get("input")
+        accessor: Any = samplers[which].get("input")
         how = samplers[which].get("interpolation", "LINEAR")
         if how not in ("LINEAR", "STEP", "CUBICSPLINE"):
             raise file.fault(f"interpolation {visible(str(how)[:20])}, expected LINEAR, STEP or CUBICSPLINE")
-        file.item("accessors", given)
-        if given not in read:
-            read[given] = file.array(given, 1)[:, 0].astype(np.float64)
+        file.item("accessors", accessor)
+        if accessor not in read:
+            read[accessor] = file.array(accessor, 1)[:, 0].astype(np.float64)
         values = file.array(samplers[which].get("output"), _WIDTHS[path], notes.strict).astype(np.float64)
         count = len(values) / 3 if how == "CUBICSPLINE" else len(values)
-        if count != len(read[given]) or not bool((np.diff(read[given]) > 0.0).all()):
+        if count != len(read[accessor]) or not bool((np.diff(read[accessor]) > 0.0).all()):
             raise file.fault(
-                f"a channel has {count:g} values for {len(read[given])} times, or times that do not rise"
+                f"a channel has {count:g} values for {len(read[accessor])} times, or times that do not rise"
             )
-        out.append(Track(node, path, read[given], _filled(file, path, values, int(count), notes), how))
-    tell(file.path, notes.lines)
+        out.append(Track(node, path, read[accessor], _filled(file, path, values, int(count), notes), how))
+    report_notes(file.path, notes.lines)
     return out
 
 
@@ -203,7 +200,8 @@ def _filled(file: GltfFile, path: str, values: Doubles, keys: int, notes: Notes)
 def _frames(file: GltfFile, tracks: list[Track], joints: int) -> tuple[Doubles, float]:
     """Times (T,) of the frames in seconds, and their rate."""
     start, end = min(track.times[0] for track in tracks), max(track.times[-1] for track in tracks)
-    steps = np.diff(max((track.times for track in tracks), key=len))
+    keys = max((track.times for track in tracks), key=len)
+    steps = np.diff(keys)
     fps = FPS
     if len(steps) and float(np.ptp(steps)) < 0.02 * float(np.median(steps)) and float(steps.mean()) <= 1.0:
         fps = nominal_rate(1.0 / float(steps.mean()))
@@ -212,8 +210,13 @@ def _frames(file: GltfFile, tracks: list[Track], joints: int) -> tuple[Doubles, 
     count = round((end - start) * fps) + 1
     if end - start > LONGEST:
         raise file.fault(f"its animation lasts {end - start:,.0f} s, expected at most {LONGEST:,.0f}")
-    if count * joints > MOST_POSES:
-        raise file.fault(f"its animation has {count:,} frames of {joints} joints, more than fit in memory")
+    if count > len(keys) and count * joints > MOST_POSES:
+        raise file.fault(
+            f"its animation has {count:,} frames of {joints} joints between {len(keys):,} keys, expected at most "
+            f"{MOST_POSES // joints:,} frames"
+        )
+    with naming(file.path, MotionkitError):
+        check_memory(count, joints, fps)
     return start + np.arange(count) / fps, fps
 
 

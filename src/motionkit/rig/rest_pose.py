@@ -113,18 +113,18 @@ class SourceRig:
         return {name: bone for name, bone in found.items() if bone is not None}
 
     def _find_bone(self, name: str, joint: int, tiny: float) -> tuple[Array, Array] | None:
-        own = JOINT_NAMES.index(name)
+        index = JOINT_NAMES.index(name)
         for ahead in _AHEAD.get(name, ()):
             place = self.place(ahead)
             if place is not None and float(np.linalg.norm(place - self.rest[joint])) > tiny:
-                canonical = _CANONICAL_REST[JOINT_NAMES.index(ahead)] - _CANONICAL_REST[own]
+                canonical = _CANONICAL_REST[JOINT_NAMES.index(ahead)] - _CANONICAL_REST[index]
                 return canonical, place - self.rest[joint]
         end = named_end(self.skeleton, name, joint, tiny)
         if end is None:
             return None
-        if own in _CANONICAL.end_sites:
-            return np.array(_CANONICAL.end_sites[own], np.float32), end
-        return _CANONICAL.offsets[_CANONICAL.children(own)[0]], end
+        if index in _CANONICAL.end_sites:
+            return np.array(_CANONICAL.end_sites[index], np.float32), end
+        return _CANONICAL.offsets[_CANONICAL.children(index)[0]], end
 
 
 def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
@@ -160,13 +160,13 @@ def _head_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
         below = skeleton.parents[below]
     best, least = None, _ALONG_NECK
     for child in skeleton.children(joint):
-        name, way = skeleton.names[child], skeleton.offsets[child]
-        if _FACE_WORDS.search(name) or float(np.linalg.norm(way)) <= tiny:
+        name, offset = skeleton.names[child], skeleton.offsets[child]
+        if _FACE_WORDS.search(name) or float(np.linalg.norm(offset)) <= tiny:
             continue
         if _TOP_WORDS.search(name):
-            return way
-        if below >= 0 and (angle := float(angle_between(rest[joint] - rest[below], way))) <= least:
-            best, least = way, angle
+            return offset
+        if below >= 0 and (angle := float(angle_between(rest[joint] - rest[below], offset))) <= least:
+            best, least = offset, angle
     return best
 
 
@@ -190,7 +190,7 @@ def frame_from(lateral: Array, up: Array) -> Array:
 
 def body_frame(source: SourceRig) -> Array:
     """The orientation (4,) of the body in the rest pose, snapped to the axes if near them."""
-    hips, arms = (_pair(source, part) for part in ("UpLeg", "Arm"))
+    hips, arms = (source.rest[source.rig.pair(part)] for part in ("UpLeg", "Arm"))
     frame = frame_from(hips[0] - hips[1], (arms[0] + arms[1] - hips[0] - hips[1]) / 2)
     matrix = quat_to_matrix(frame)
     snapped = matrix.round()
@@ -198,18 +198,12 @@ def body_frame(source: SourceRig) -> Array:
     return matrix_to_quat(snapped) if aligned else frame
 
 
-def _pair(source: SourceRig, part: str) -> tuple[Array, Array]:
-    left, right = (source.place(f"{side}{part}") for side in SIDES)
-    assert left is not None and right is not None
-    return left, right
-
-
 def angle_between(a: Array, b: Array) -> Array:
     """The angle (...) in degrees between vectors (..., 3)."""
     return np.rad2deg(np.arctan2(length(cross(a, b)), (a * b).sum(-1)))
 
 
-def stands(source: SourceRig, frame: Array) -> bool:
+def is_standing(source: SourceRig, frame: Array) -> bool:
     """Whether the rest pose is a standing human: legs down, spine up, arms not crossed."""
     down, up = np.array([0.0, -1.0, 0.0], np.float32), np.array([0.0, 1.0, 0.0], np.float32)
     limits: list[tuple[str, Array, float]] = [(name, up, 60.0) for name in ("LowerBack", "Spine")]
@@ -235,8 +229,8 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
             out[joint] = out[PARENTS[joint]]
         elif part == "Foot" and bone is not None:
             toe = source.bone(name.replace("Foot", "ToeBase"))
-            shown = toe if toe is not None and _under(frame, bone[1], toe[1]) else bone
-            out[joint] = _foot_difference(source, frame, name, *shown)
+            chosen = toe if toe is not None and _under(frame, bone[1], toe[1]) else bone
+            out[joint] = _foot_difference(source, frame, name, *chosen)
         elif part in _LIMBS or part == "Hand":
             parent = out[PARENTS[joint]]
             if part == "Arm":  # relative to the chest, because collar bones vary between rigs
@@ -253,7 +247,7 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
 
 def _under(frame: Array, foot: Array, toe: Array) -> bool:
     """Whether the toe joint lies under the ankle and the toes (3,) extend over the ground, as no hanging foot's do."""
-    down, ahead = (quat_rotate(quat_inverse(frame), normalized(way)) for way in (foot, toe))
+    down, ahead = (quat_rotate(quat_inverse(frame), normalized(direction)) for direction in (foot, toe))
     return bool(down[1] < -_STEEP and abs(ahead[1]) < 1.0 - _STEEP)
 
 
@@ -337,7 +331,7 @@ class _Poses:
         self.source = source
         self.rotations = rotations
         self.positions = positions
-        hips, arms = self.pair("UpLeg"), self.pair("Arm")
+        hips, arms = (positions[:, source.rig.pair(part)].swapaxes(0, 1) for part in ("UpLeg", "Arm"))
         self.hip_axis, self.arm_axis = hips[0] - hips[1], arms[0] - arms[1]
         self.up = (arms[0] + arms[1] - hips[0] - hips[1]) / 2
         self.lean = np.deg2rad(
@@ -352,11 +346,6 @@ class _Poses:
         joint = self.source.rig.places.get(name)
         return None if joint is None else self.positions[:, joint]
 
-    def pair(self, part: str) -> tuple[Array, Array]:
-        left, right = (self.place(f"{side}{part}") for side in SIDES)
-        assert left is not None and right is not None
-        return left, right
-
     def turn(self, name: str) -> Array:
         return self.rotations[:, self.source.rig.turns[name]]
 
@@ -368,7 +357,7 @@ class _Poses:
         return bone[0], quat_rotate(self.turn(name), np.broadcast_to(bone[1], (len(self.up), 3)))
 
     def differences(self) -> Array:
-        self.settle("Hips", frame_from(self.hip_axis, self.up), self.upright)
+        self.set_difference("Hips", frame_from(self.hip_axis, self.up), self.upright)
         hips, arms = normalized(self.hip_axis), normalized(self.arm_axis)
         for share, name in (
             (0.3, "LowerBack"),
@@ -380,7 +369,7 @@ class _Poses:
             self._along_spine(name, (1 - share) * hips + share * arms)
         self._along_spine("Head", self.arm_axis)
         for side in SIDES:
-            self.settle(f"{side}Shoulder", self.seen(f"{side}Shoulder"), self.upright)
+            self.set_difference(f"{side}Shoulder", self.seen(f"{side}Shoulder"), self.upright)
             self._limb(f"{side}UpLeg", f"{side}Leg")
             self._limb(f"{side}Leg", f"{side}Leg")
             self._foot(side)
@@ -396,7 +385,7 @@ class _Poses:
             joint = PARENTS[joint]
         return self.geometry[JOINT_NAMES[joint]]
 
-    def settle(self, name: str, geometry: Array, frames: Array) -> None:
+    def set_difference(self, name: str, geometry: Array, frames: Array) -> None:
         """Set a joint's difference to its mean over some frames, and compute its rotation in all frames."""
         if name not in self.source.rig.places:
             return
@@ -409,11 +398,11 @@ class _Poses:
     def _along_spine(self, name: str, lateral: Array) -> None:
         bone = self.bone(name)
         if bone is None or (name in _TOPS and self._misleads(bone[1])):
-            self.settle(name, self.seen(name), self.upright)
+            self.set_difference(name, self.seen(name), self.upright)
             return
         canonical, world = bone
         rest = frame_from(np.array([1.0, 0.0, 0.0], np.float32), canonical)
-        self.settle(name, quat_multiply(frame_from(lateral, world), quat_inverse(rest)), self.upright)
+        self.set_difference(name, quat_multiply(frame_from(lateral, world), quat_inverse(rest)), self.upright)
 
     def _misleads(self, end: Array) -> bool:
         """Whether the end (T, 3) of a head points to the side or hangs in upright bodies."""
@@ -425,7 +414,7 @@ class _Poses:
     def _limb(self, name: str, hinge_name: str) -> None:
         bone = self.bone(name)
         if bone is None:
-            self.settle(name, self.seen(name), self.upright)
+            self.set_difference(name, self.seen(name), self.upright)
             return
         canonical, world = bone
         upper = self.bone(hinge_name.replace("ForeArm", "Arm").replace("Leg", "UpLeg"))
@@ -435,11 +424,11 @@ class _Poses:
             if int(bent.sum()) >= 3:
                 axis = cross(upper[1], lower[1])
                 rest = frame_from(np.array(_HINGES[hinge_name], np.float32), canonical)
-                self.settle(name, quat_multiply(frame_from(axis, world), quat_inverse(rest)), bent)
+                self.set_difference(name, quat_multiply(frame_from(axis, world), quat_inverse(rest)), bent)
                 return
         base = self.seen(name)
         start = quat_rotate(base, np.broadcast_to(canonical, world.shape))
-        self.settle(name, quat_multiply(quat_between(start, world), base), self.upright)
+        self.set_difference(name, quat_multiply(quat_between(start, world), base), self.upright)
 
     def _foot(self, side: str) -> None:
         name, toe = f"{side}Foot", f"{side}ToeBase"
@@ -448,7 +437,7 @@ class _Poses:
             return
         if bone is None:
             roll = np.broadcast_to(quat_from_roll(-_canonical_spread(name)), (len(self.up), 4))
-            self.settle(name, quat_multiply(quat_from_yaw(self.heading()), roll), self.upright)
+            self.set_difference(name, quat_multiply(quat_from_yaw(self.heading()), roll), self.upright)
             return
         canonical, world = bone
         height = place[:, 1] + 0.5 * world[:, 1]
@@ -456,8 +445,8 @@ class _Poses:
         roll = quat_from_roll(-_canonical_spread(name))
         yaw = _heading(world) - _heading(quat_rotate(roll, canonical))
         flat = quat_multiply(quat_from_yaw(yaw), np.broadcast_to(roll, (len(yaw), 4)))
-        self.settle(name, flat, low)
-        self.settle(toe, flat, low)
+        self.set_difference(name, flat, low)
+        self.set_difference(toe, flat, low)
 
     def heading(self) -> Array:
         return _heading(
@@ -473,4 +462,4 @@ class _Poses:
         if bone is not None:
             start = quat_rotate(base, np.broadcast_to(bone[0], bone[1].shape))
             base = quat_multiply(quat_between(start, bone[1]), base)
-        self.settle(name, base, self.upright)
+        self.set_difference(name, base, self.upright)

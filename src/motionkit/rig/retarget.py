@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array, length, lower_median
-from motionkit.errors import SkeletonError
+from motionkit.errors import SkeletonError, naming
 from motionkit.motion.bvh import BvhFile
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -44,7 +44,6 @@ class RetargetReport:
         source_joints: number of joints in the file.
         mapped: canonical joint name to source joint name.
         missing: canonical joints without a source; they keep their rest pose relative to their parents.
-        ignored: unused source joints.
         scale: cm per file unit.
         scale_source: how the scale was determined.
         leg_length: thigh plus shin of this body, cm.
@@ -56,7 +55,6 @@ class RetargetReport:
     source_joints: int
     mapped: dict[str, str]
     missing: tuple[str, ...]
-    ignored: tuple[str, ...]
     scale: float
     scale_source: str
     leg_length: float
@@ -78,10 +76,8 @@ def retarget_file(
     Raises BvhError, MotionkitError or SkeletonError.
     """
     bvh = read_file(path, clip)
-    try:
+    with naming(path):
         return retarget(bvh, scale, fps, own_body, plant=plant)
-    except SkeletonError as error:
-        raise SkeletonError(f"{path}: {error}") from None
 
 
 def retarget(
@@ -133,7 +129,6 @@ def retarget(
         source_joints=len(names),
         mapped={name: names[joint] for name, joint in full_map.places.items()},
         missing=full_map.missing(),
-        ignored=tuple(name for j, name in enumerate(names) if j not in full_map.places.values()),
         scale=scale,
         scale_source=scale_source,
         leg_length=leg * scale,
@@ -148,9 +143,9 @@ def _map_notes(joints: RigMap, names: tuple[str, ...]) -> tuple[str, ...]:
     """A note on joints that were found by shape."""
     if not joints.by_shape:
         return ()
-    told = ", ".join(f"{names[joints.places[name]]} {name}" for name in sorted(joints.by_shape))
+    listed = ", ".join(f"{names[joints.places[name]]} {name}" for name in sorted(joints.by_shape))
     return (
-        f"unknown names; found by shape, {100 * min(map(joints.sure, joints.by_shape)):.0f} % sure or more: {told}",
+        f"unknown names; found by shape, {100 * min(map(joints.sure, joints.by_shape)):.0f} % sure or more: {listed}",
     )
 
 
@@ -175,7 +170,7 @@ def _root_positions(rig: RigMap, positions: Array, hips: Array, target: Skeleton
 
     Rigs place their hip joint anywhere between thighs and navel, and this must not move the legs.
     """
-    thighs = [positions[:, rig.places[f"{side}UpLeg"]] for side in SIDES]
+    thighs = positions[:, rig.pair("UpLeg")].swapaxes(0, 1)
     sockets = [target.offsets[target.index(f"{side}UpLeg")] for side in SIDES]
     middle, socket = (thighs[0] + thighs[1]) / 2, (sockets[0] + sockets[1]) / 2
     return middle - quat_rotate(hips, np.broadcast_to(socket, middle.shape))
@@ -211,15 +206,15 @@ def _body(pose: RigPose, scale: float) -> tuple[Array, tuple[str, ...]]:
         above = PARENTS[joint]
         while above > 0 and JOINT_NAMES[above] not in source.rig.places:
             above = PARENTS[above]
-        own = _own_length(source, JOINT_NAMES[above], name)
+        size = _bone_length(source, JOINT_NAMES[above], name)
         usual = float(np.linalg.norm(rest[joint] - rest[above]))
-        if own is None or usual == 0.0:
+        if size is None or usual == 0.0:
             continue
-        if own * scale < _GAP * share * usual:
+        if size * scale < _GAP * share * usual:
             assumed.append(name)
             continue
         while joint != above:  # joints missing in the rig get the same ratio as the joint below them
-            ratios[joint] = own * scale / usual
+            ratios[joint] = size * scale / usual
             joint = PARENTS[joint]
     if not all(name in source.rig.places for name in _TORSO):
         for names, ratio in _torso_ratios(source, shape, rest):
@@ -232,7 +227,7 @@ def _body(pose: RigPose, scale: float) -> tuple[Array, tuple[str, ...]]:
     return body, (f"the file has no length for {', '.join(assumed)}; assumed in proportion to the legs",)
 
 
-def _own_length(source: SourceRig, above: str, name: str) -> float | None:
+def _bone_length(source: SourceRig, above: str, name: str) -> float | None:
     """The rest length of a bone in file units; None if the rig does not have it."""
     top, bottom = source.place(above), source.place(name)
     if top is not None and bottom is not None:
@@ -256,9 +251,9 @@ def _torso_ratios(source: SourceRig, shape: Array, rest: Array) -> list[tuple[tu
         widths = [left_arm - right_arm, left_hip - right_hip]
         return np.stack([np.linalg.norm(v, axis=-1) for v in (spine, *widths)], axis=-1)
 
-    own = lower_median(sizes(*corners(shape, places)).reshape(-1, 3), axis=0)
+    measured = lower_median(sizes(*corners(shape, places)).reshape(-1, 3), axis=0)
     ours = sizes(*corners(rest, {name: j for j, name in enumerate(JOINT_NAMES)}))
-    height, arms, hips = (float(ratio) for ratio in own / ours)
+    height, arms, hips = (float(ratio) for ratio in measured / ours)
     ratios = [
         (("LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder"), height),
         (("LeftArm", "RightArm"), arms),

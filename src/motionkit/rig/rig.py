@@ -6,28 +6,24 @@ to_rig.py puts motion on it; retarget.py reads motion from it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile
-from motionkit.motion.bvh_text import read_hierarchy
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 from motionkit.rig.character import Character
-from motionkit.rig.map_file import read_rig_map
 from motionkit.rig.names import RigMap
 from motionkit.rig.pose import RigPose, map_file, median_offsets, pose_notes, study_rig
-from motionkit.rig.read_file import is_bvh, read_file
 from motionkit.rig.rest_pose import SIDES
 from motionkit.rig.units import check_leg
 
 # Plausible heights, in cm of the canonical body, of standing toes, or of ankles of a rig without toes. At other heights
 # the floor of the file is not at zero.
 PLAUSIBLE_STANCE = {"ToeBase": (0.0, 6.0), "Foot": (4.0, 12.0)}
-STANCE_QUANTILE = 0.25  # of heights: low, but robust to feet that sink now and then
-_UPRIGHT_SHARE = 0.5  # of the leg; the ankles of a standing body are further than this below the hips
+STANCE_QUANTILE = 0.25  # quantile of foot heights: low, but robust to feet that sink now and then
+_UPRIGHT_SHARE = 0.5  # share of the leg; the ankles of a standing body are further below the hips
 _SAME_REST = 0.01  # share of the leg by which offsets of the same rig may differ
 _FRAMES = 512  # frames of the file's motion that are studied; up to twice as many
 
@@ -82,25 +78,10 @@ class Rig:
         return self.joints.places.get(name)
 
 
-def read_joints_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
-    """Read a rig without a mesh; arguments as for rig/on_rig.py's read_rig, which also reads characters."""
-    bvh = read_file(path)
-    joints = None if map_path is None else read_rig_map(map_path, bvh.skeleton)
-    hierarchy = read_hierarchy(path) if is_bvh(path) else None
-    try:
-        return make_rig(bvh, Path(path).name, joints, hierarchy)
-    except SkeletonError as error:
-        raise SkeletonError(f"{path}: {error}") from None
+def make_rig(bvh: BvhFile, name: str, joints: RigMap | None = None) -> Rig:
+    """Make the rig of a BVH file of at least one frame; raises SkeletonError if it is not a human rig.
 
-
-def make_rig(bvh: BvhFile, name: str, joints: RigMap | None = None, hierarchy: str | None = None) -> Rig:
-    """Make the rig of a BVH file; raises SkeletonError if it is not a human rig.
-
-    Args:
-        bvh: the file, with at least one frame.
-        name: name for messages.
-        joints: map of its canonical joints; found by default.
-        hierarchy: text to write as the hierarchy section of files on this rig.
+    The name is for messages. The map of its canonical joints is found by default.
     """
     bvh = median_offsets(bvh)
     joints = map_file(bvh) if joints is None else joints
@@ -108,7 +89,7 @@ def make_rig(bvh: BvhFile, name: str, joints: RigMap | None = None, hierarchy: s
     pose = study_rig(BvhFile(bvh.skeleton, bvh.channels, bvh.values[::step], bvh.frame_time), joints)
     leg = pose.leg()
     check_leg(leg)
-    if not pose.standing and not _stands_somewhere(pose, leg):
+    if not pose.standing and not _has_standing_frame(pose, leg):
         raise SkeletonError(
             "the rest pose is not a standing human and no frame shows one; "
             "give a file of this rig with a standing pose"
@@ -119,7 +100,7 @@ def make_rig(bvh: BvhFile, name: str, joints: RigMap | None = None, hierarchy: s
         name,
         bvh.skeleton,
         bvh.channels,
-        hierarchy,
+        bvh.hierarchy,
         joints,
         pose.up,
         pose.differences,
@@ -130,14 +111,12 @@ def make_rig(bvh: BvhFile, name: str, joints: RigMap | None = None, hierarchy: s
     )
 
 
-def _stands_somewhere(pose: RigPose, leg: float) -> bool:
+def _has_standing_frame(pose: RigPose, leg: float) -> bool:
     """Whether in some frame the feet are well below the hips, and the shoulders above them."""
     place, at = pose.source.rig.places, pose.positions[..., 1]
     if not all(f"{side}Foot" in place for side in SIDES):
         return True
-    hips, feet, arms = (
-        at[:, [place[f"{side}{part}"] for side in SIDES]].mean(1) for part in ("UpLeg", "Foot", "Arm")
-    )
+    hips, feet, arms = (at[:, pose.source.rig.pair(part)].mean(1) for part in ("UpLeg", "Foot", "Arm"))
     return bool(((hips - feet > _UPRIGHT_SHARE * leg) & (arms > hips)).any())
 
 
@@ -158,20 +137,15 @@ def _check_channels(bvh: BvhFile, joints: RigMap) -> None:
 
 def top_joint(skeleton: Skeleton, joints: RigMap) -> int:
     """The lowest common ancestor of all mapped joints: the hips, or one above them if the spine begins there."""
-    joint = joints.places["Hips"]
-    while not all(skeleton.descends(other, joint) for other in joints.places.values()):
-        joint = skeleton.parents[joint]
-    return joint
+    path, mapped = skeleton.path(joints.places["Hips"]), joints.places.values()
+    return [joint for joint in path if all(skeleton.descends(other, joint) for other in mapped)][-1]
 
 
 def mover(skeleton: Skeleton, channels: tuple[tuple[str, ...], ...], joints: RigMap) -> int | None:
     """The joint whose position channels move the body: the top joint, or the nearest above it with three of them."""
-    joint = top_joint(skeleton, joints)
-    while joint >= 0:
-        if sum(channel.endswith("position") for channel in channels[joint]) == 3:
-            return joint
-        joint = skeleton.parents[joint]
-    return None
+    path = skeleton.path(top_joint(skeleton, joints))
+    found = [joint for joint in path if sum(name.endswith("position") for name in channels[joint]) == 3]
+    return found[-1] if found else None
 
 
 def _stance(pose: RigPose, scale: float) -> float | None:
@@ -180,7 +154,7 @@ def _stance(pose: RigPose, scale: float) -> float | None:
     part = stance_part(pose.source.rig)
     if f"Left{part}" not in place or f"Right{part}" not in place:
         return None
-    lower = pose.positions[:, [place[f"{side}{part}"] for side in SIDES], 1].min(axis=1)
+    lower = pose.positions[:, pose.source.rig.pair(part), 1].min(axis=1)
     height = float(np.quantile(lower, STANCE_QUANTILE)) * scale
     low, high = PLAUSIBLE_STANCE[part]
     return height if low <= height <= high else None

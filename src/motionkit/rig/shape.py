@@ -41,6 +41,7 @@ _LEG_DOWN, _WRIST = (1.0, 0.35), (0.0, 1.2)
 _UPSIDE_DOWN = 3.0  # cost if the fork of the legs descends from that of the arms
 _APART = 1.0  # cost if neither fork descends from the other
 _NOT_HUMAN = 9.0  # cost at which a human rig and anything else are equally likely
+_HOPELESS = _NOT_HUMAN + 12.0  # cost that is less likely than that by e^12
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,12 @@ class _Pair:
     Attributes:
         fork: the parent of both branches.
         joints: joints of both branches, from the fork outwards.
-        way: path length from the fork to each of them, and to the end of the last bone.
+        distances: path length from the fork to each of them, and to the end of the last bone.
     """
 
     fork: int
     joints: tuple[tuple[int, int], ...]
-    way: tuple[float, ...]
+    distances: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class _Limb:
 
     @property
     def length(self) -> float:
-        return self.pair.way[self.lower] - self.pair.way[self.upper]
+        return self.pair.distances[self.lower] - self.pair.distances[self.upper]
 
     def named(self, names: tuple[str, ...]) -> dict[str, tuple[int, int]]:
         """Joints of both branches by names for the upper, middle, lower and next joint, as far as they exist."""
@@ -100,17 +101,12 @@ _LEG_NAMES, _ARM_NAMES = ("UpLeg", "Leg", "Foot", "ToeBase"), ("Arm", "ForeArm",
 def limbs_by_shape(
     skeleton: Skeleton, sides: tuple[str, ...], poses: Array | None = None
 ) -> ShapeGuess | None:
-    """Find the legs and arms of a rig; None if it is not human.
+    """Find the legs and arms of a rig by its recorded poses (P, J, 3), else its rest pose; None if it is not human.
 
-    Args:
-        skeleton: any rig.
-        sides: "left", "right" or "" for each joint, by its name.
-        poses: (P, J, 3) recorded joint positions; the rest pose by default.
+    sides are "left", "right" or "" for each joint, by its name.
     """
-    tree = _Tree(skeleton)
-    poses = (tree.rest[None] if poses is None else poses).astype(np.float64)
-    bodies = _bodies(tree, poses)
-    if not bodies or bodies[0][0] > _NOT_HUMAN:
+    tree, poses, bodies = _bodies(skeleton, poses)
+    if not bodies:
         return None
     best, leg, arm = bodies[0]
     weights = [math.exp(best - cost) for cost, _, _ in bodies]
@@ -130,31 +126,26 @@ def limbs_by_shape(
     return ShapeGuess(places, sure, sides_sure)
 
 
-def twins_by_shape(skeleton: Skeleton, poses: Array | None = None) -> tuple[int, ...] | None:
-    """Each joint's twin on the other side, by shape alone; central joints are their own twins. None if not human.
-
-    Args:
-        skeleton: any rig.
-        poses: as for limbs_by_shape.
-    """
-    tree = _Tree(skeleton)
-    poses = (tree.rest[None] if poses is None else poses).astype(np.float64)
-    bodies = _bodies(tree, poses)
-    if not bodies or bodies[0][0] > _NOT_HUMAN:
+def opposites_by_shape(skeleton: Skeleton, poses: Array | None = None) -> tuple[int, ...] | None:
+    """Each joint's opposite on the other side, by shape alone; of a central joint, itself. None if not human."""
+    tree, _, bodies = _bodies(skeleton, poses)
+    if not bodies:
         return None
     _, leg, arm = bodies[0]
-    twins = list(range(len(skeleton)))
+    opposites = list(range(len(skeleton)))
     for limb in (leg, arm):
-        tree.pair_up(*limb.pair.joints[0], twins)
+        tree.pair_up(*limb.pair.joints[0], opposites)
     across = tree.rest[leg.pair.joints[0][0]] - tree.rest[leg.pair.joints[0][1]]
     for joint, children in enumerate(tree.children):
-        if twins[joint] == joint:
-            tree.pair_children([c for c in children if twins[c] == c], normalized(across), twins)
-    return tuple(twins)
+        if opposites[joint] == joint:
+            tree.pair_children([c for c in children if opposites[c] == c], normalized(across), opposites)
+    return tuple(opposites)
 
 
-def _bodies(tree: _Tree, poses: Array) -> list[tuple[float, _Limb, _Limb]]:
-    """Costs, legs and arms of the likely assignments, the best first."""
+def _bodies(skeleton: Skeleton, poses: Array | None) -> tuple[_Tree, Array, list[tuple[float, _Limb, _Limb]]]:
+    """The hierarchy, its poses, and costs, legs and arms of likely assignments, the best first; none if not human."""
+    tree = _Tree(skeleton)
+    poses = (tree.rest[None] if poses is None else poses).astype(np.float64)
     pairs = tree.pairs()
     legs = {pair: _limbs(tree, pair, _leg_cost) for pair in pairs}
     arms = {pair: _limbs(tree, pair, _arm_cost) for pair in pairs}
@@ -166,7 +157,8 @@ def _bodies(tree: _Tree, poses: Array) -> list[tuple[float, _Limb, _Limb]]:
         for leg in legs[one]:
             for arm in arms[other]:
                 found.append((shared + leg.cost + arm.cost + _body_cost(tree, leg, arm, poses), leg, arm))
-    return sorted(found, key=lambda each: each[0])
+    found.sort(key=lambda each: each[0])
+    return tree, poses, found if found and found[0][0] <= _NOT_HUMAN else []
 
 
 class _Tree:
@@ -205,13 +197,13 @@ class _Tree:
         return [pair for _, pair in found[:_MOST_PAIRS]]
 
     def _pair(self, fork: int, joints: tuple[tuple[int, int], ...]) -> _Pair:
-        way, here = [], 0.0
+        distances, here = [], 0.0
         for one, other in joints:
             here += 0.5 * float(self.bones[one] + self.bones[other])
-            way.append(here)
+            distances.append(here)
         one, other = joints[-1]
-        way.append(here + min(self.ends.get(one, 0.0), self.ends.get(other, 0.0)))
-        return _Pair(fork, joints, tuple(way))
+        distances.append(here + min(self.ends.get(one, 0.0), self.ends.get(other, 0.0)))
+        return _Pair(fork, joints, tuple(distances))
 
     def _equal(self, a: float, b: float) -> bool:
         return abs(a - b) <= _EQUAL * max(a, b) + _EQUAL_SIZE * self.size
@@ -230,19 +222,19 @@ class _Tree:
             self._matched[key] = (bone + best[0], (key, *best[1]))
         return self._matched[key]
 
-    def pair_up(self, one: int, other: int, twins: list[int]) -> None:
-        """Make two joints twins, and the similar joints below them too."""
-        twins[one], twins[other] = other, one
+    def pair_up(self, one: int, other: int, opposites: list[int]) -> None:
+        """Make two joints opposites, and the similar joints below them too."""
+        opposites[one], opposites[other] = other, one
         free = list(self.children[other])
         for a in sorted(self.children[one], key=lambda j: -self.reach[j]):
             alike = [b for b in free if self._equal(self.bones[a], self.bones[b])]
             if alike:
                 nearest = min(alike, key=lambda b: abs(self.reach[a] - self.reach[b]))
                 free.remove(nearest)
-                self.pair_up(a, nearest, twins)
+                self.pair_up(a, nearest, opposites)
 
-    def pair_children(self, children: list[int], across: Array, twins: list[int]) -> None:
-        """Make twins of children of a central joint that mirror each other in the plane at right angles to across."""
+    def pair_children(self, children: list[int], across: Array, opposites: list[int]) -> None:
+        """Pair children of a central joint that mirror each other in the plane at right angles to across."""
         offsets = self.skeleton.offsets.astype(np.float64)
         for a, b in combinations(children, 2):
             aside = float(offsets[a] @ across)
@@ -250,8 +242,8 @@ class _Tree:
             near = (
                 float(np.linalg.norm(image - offsets[b])) <= _EQUAL * self.bones[a] + _EQUAL_SIZE * self.size
             )
-            if twins[a] == a and twins[b] == b and near and abs(aside) > _EQUAL_SIZE * self.size:
-                self.pair_up(a, b, twins)
+            if opposites[a] == a and opposites[b] == b and near and abs(aside) > _EQUAL_SIZE * self.size:
+                self.pair_up(a, b, opposites)
 
     def end(self, joint: int) -> Array:
         """The End Site (3,) of a joint; zero without one."""
@@ -267,11 +259,7 @@ class _Tree:
             low, high = high, low
         if not self.skeleton.descends(high, low):
             return None
-        length = 0.0
-        while high != low:
-            length += float(self.bones[high])
-            high = self.skeleton.parents[high]
-        return length
+        return float(self.bones[self.skeleton.between(low, high)].sum())
 
 
 def _off(value: float, expected: tuple[float, float]) -> float:
@@ -282,14 +270,17 @@ def _off(value: float, expected: tuple[float, float]) -> float:
 def _limbs(tree: _Tree, pair: _Pair, cost_of: Callable[[float, float, float, float], float]) -> list[_Limb]:
     """The most likely upper, middle and lower joints of a pair."""
     found = []
-    for upper, middle, lower in combinations(range(len(pair.way)), 3):
+    for upper, middle, lower in combinations(range(len(pair.distances)), 3):
         if middle >= len(pair.joints):
             continue
-        first, second = pair.way[middle] - pair.way[upper], pair.way[lower] - pair.way[middle]
+        first, second = (
+            pair.distances[middle] - pair.distances[upper],
+            pair.distances[lower] - pair.distances[middle],
+        )
         if min(first, second) < 1e-3 * tree.size:
             continue
-        behind = pair.way[-1] - pair.way[lower]
-        cost = cost_of(pair.way[upper], first, second, behind if behind > _STUB * second else 0.0)
+        behind = pair.distances[-1] - pair.distances[lower]
+        cost = cost_of(pair.distances[upper], first, second, behind if behind > _STUB * second else 0.0)
         cost += _NO_END * (lower >= len(pair.joints)) + _EXTRA * (lower - upper - 2)
         cost += _FINGERS * any(len(tree.children[pair.joints[j][0]]) > 1 for j in range(middle + 1, lower))
         cost += _bend_cost(tree, pair, upper, middle) + _bend_cost(tree, pair, middle, lower)
@@ -311,7 +302,7 @@ def _bend_cost(tree: _Tree, pair: _Pair, top: int, bottom: int) -> float:
     """The cost of joints along a bone that are not on a line."""
     if bottom >= len(pair.joints) or bottom == top + 1:
         return 0.0
-    path = pair.way[bottom] - pair.way[top]
+    path = pair.distances[bottom] - pair.distances[top]
     ends = zip(pair.joints[top], pair.joints[bottom], strict=True)
     straight = sum(float(np.linalg.norm(tree.rest[b] - tree.rest[a])) for a, b in ends) / 2
     return _off(1.0 - straight / path, (0.0, _BENT))
@@ -324,14 +315,19 @@ def _fork_cost(tree: _Tree, legs: _Pair, arms: _Pair) -> float:
 
 
 def _body_cost(tree: _Tree, leg: _Limb, arm: _Limb, poses: Array) -> float:
-    """The cost of a leg and an arm together, by their lengths and their places in the poses."""
-    way, size = arm.pair.way, leg.length
-    cost = _off(way[arm.upper] / size, _COLLAR_LEG)
-    cost += _off(math.log((way[arm.middle] - way[arm.upper]) / size), _UPPER_LEG)
-    cost += _off(math.log((way[arm.lower] - way[arm.middle]) / size), _FORE_LEG)
+    """The cost of a leg and an arm together, by their lengths and their places in the poses.
+
+    The poses are not looked at where the lengths alone cost too much to matter.
+    """
+    distances, size = arm.pair.distances, leg.length
+    cost = _off(distances[arm.upper] / size, _COLLAR_LEG)
+    cost += _off(math.log((distances[arm.middle] - distances[arm.upper]) / size), _UPPER_LEG)
+    cost += _off(math.log((distances[arm.lower] - distances[arm.middle]) / size), _FORE_LEG)
     torso = tree.torso(leg.pair.fork, arm.pair.fork)
     if torso is not None:
         cost += _off(torso / size, _TORSO_LEG)
+    if cost + leg.cost + arm.cost > _HOPELESS:
+        return cost
     hips, shoulders = _middle(leg, leg.upper, poses), _middle(arm, arm.upper, poses)
     up = normalized(shoulders - hips)
     down = ((hips - _middle(leg, leg.lower, poses)) * up).sum(-1) / size
@@ -404,8 +400,8 @@ def _leftward(tree: _Tree, leg: _Limb, arm: _Limb, across: Array, poses: Array) 
         (ahead, _TRUST_Z),
     )
     forward, trust = toe, 0.0
-    for told, worth in evidence:
-        forward, trust = told - (told * up).sum(-1, keepdims=True) * up, worth
+    for candidate, weight in evidence:
+        forward, trust = candidate - (candidate * up).sum(-1, keepdims=True) * up, weight
         if float(np.median(np.linalg.norm(forward, axis=-1))) > 0.04 * leg.length:
             break
     return trust * float(np.mean((normalized(across) * cross(up, normalized(forward))).sum(-1)))

@@ -1,4 +1,4 @@
-"""Left and right: words for them in names of joints and motion types, and twin joints by name."""
+"""Left and right: words for them in names of joints and motion types, and opposite joints by name."""
 
 from __future__ import annotations
 
@@ -65,26 +65,32 @@ _SIDE_MARKS = tuple(
 
 
 def _paired_marks(names: Sequence[str]) -> dict[int, tuple[int, bool]]:
-    """For each joint with a twin, the index of the twin, and whether the joint is on the left."""
+    """For each joint with an opposite, its index, and whether the joint is on the left."""
     indices = {name: index for index, name in enumerate(names)}
     paired: dict[int, tuple[int, bool]] = {}
     for mark in _SIDE_MARKS:
         for index, name in enumerate(names):
             match = mark.search(name)
-            twin = indices.get(mark.sub(lambda found: other_side(found.group()), name)) if match else None
-            if match and twin is not None and twin != index and index not in paired and twin not in paired:
+            opposite = indices.get(mark.sub(lambda found: other_side(found.group()), name)) if match else None
+            if (
+                match
+                and opposite is not None
+                and opposite != index
+                and index not in paired
+                and opposite not in paired
+            ):
                 left = match.group().lower() in LEFT_WORDS
-                paired[index], paired[twin] = (twin, left), (index, not left)
+                paired[index], paired[opposite] = (opposite, left), (index, not left)
     return paired
 
 
-def left_right_twins(names: Sequence[str]) -> tuple[int, ...]:
-    """The index of each joint's twin on the other side of the body; central joints are their own twins."""
+def opposite_joints(names: Sequence[str]) -> tuple[int, ...]:
+    """The index of each joint's opposite on the other side of the body; of a central joint, its own."""
     paired = _paired_marks(names)
     return tuple(paired[index][0] if index in paired else index for index in range(len(names)))
 
 
 def joint_sides(names: Sequence[str]) -> tuple[str, ...]:
-    """The side of each joint: "left", "right", or "" for a joint without a twin."""
+    """The side of each joint: "left", "right", or "" for a joint without an opposite."""
     paired = _paired_marks(names)
     return tuple(("left" if paired[i][1] else "right") if i in paired else "" for i in range(len(names)))

@@ -71,8 +71,8 @@ def rig_body(rig: Rig) -> Skeleton:
                 continue
             place = source.place(JOINT_NAMES[above]) + bone[1]
         if place is not None:
-            way = place - source.place(JOINT_NAMES[above])
-            offsets[joint] = quat_rotate(back[above], way) * rig.scale
+            offset = place - source.place(JOINT_NAMES[above])
+            offsets[joint] = quat_rotate(back[above], offset) * rig.scale
     return canonical_skeleton(offsets)
 
 
@@ -132,7 +132,7 @@ def from_body(body: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
     skeleton, frames = rig.skeleton, len(body)
     rotations, _ = motion_kinematics(body)
     down = quat_inverse(up_turn(rig.up)).astype(np.float64)
-    wanted = quat_multiply(
+    target = quat_multiply(
         np.broadcast_to(down, rotations.shape),
         quat_multiply(
             rotations.astype(np.float64), np.broadcast_to(quat_inverse(rig.differences), rotations.shape)
@@ -140,7 +140,7 @@ def from_body(body: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
     )
     local, places = _kept(rig, frames, clip)
     turn = _turn_from_rest if clip is None else _turn_from_clip
-    turned = turn(rig, turning_joints(rig), wanted, local)
+    turned = turn(rig, turning_joints(rig), target, local)
     hips = quat_rotate(down, body.root_positions.astype(np.float64)) / rig.scale
     _move(rig, places, turned, hips)
     if clip is None:
@@ -163,16 +163,16 @@ def turning_joints(rig: Rig) -> dict[int, int]:
     return {joint: carrier for joint, carrier in out.items() if _turns(rig, joint)}
 
 
-def _turn_from_rest(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: Doubles) -> Doubles:
+def _turn_from_rest(rig: Rig, carriers: dict[int, int], target: Doubles, local: Doubles) -> Doubles:
     """Global rotations (T, J, 4) of the rig, with joints that have no canonical joint in their rest pose.
 
     Args:
         carriers: rig joint to the canonical joint whose rotation it takes.
-        wanted: (T, 23, 4) global rotations of the canonical joints on the rig.
+        target: (T, 23, 4) global rotations of the canonical joints on the rig.
         local: (T, J, 4) local rotations of the rest pose; those of the carriers are set in place.
     """
     parents = rig.skeleton.parents
-    every = np.concatenate([wanted, quat_identity((len(wanted), 1), np.float64)], axis=1)
+    every = np.concatenate([target, quat_identity((len(target), 1), np.float64)], axis=1)
     sources: list[int] = []
     for joint, parent in enumerate(parents):
         sources.append(carriers.get(joint, sources[parent] if parent >= 0 else -1))
@@ -183,18 +183,18 @@ def _turn_from_rest(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: 
     return turned
 
 
-def _turn_from_clip(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: Doubles) -> Doubles:
+def _turn_from_clip(rig: Rig, carriers: dict[int, int], target: Doubles, local: Doubles) -> Doubles:
     """Like _turn_from_rest, but joints without a canonical joint keep the local rotations of a clip."""
     skeleton = rig.skeleton
-    turned = quat_identity((len(wanted), len(skeleton)), np.float64)
-    above = quat_identity((len(wanted),), np.float64)
+    turned = quat_identity((len(target), len(skeleton)), np.float64)
+    above = quat_identity((len(target),), np.float64)
     for joint, parent in enumerate(skeleton.parents):
         outer = turned[:, parent] if parent >= 0 else above
         if joint in carriers:
             name = JOINT_NAMES[carriers[joint]]
-            aim = wanted[:, carriers[joint]]
+            aim = target[:, carriers[joint]]
             last = rig.joints.turns[name] if rig.joints.places.get(name) == joint else joint
-            for between in _between(skeleton, joint, last)[::-1]:
+            for between in skeleton.between(joint, last)[::-1]:
                 aim = quat_multiply(aim, quat_inverse(local[:, between]))
             local[:, joint] = quat_normalize(quat_multiply(quat_inverse(outer), aim))
         turned[:, joint] = quat_multiply(outer, local[:, joint])
@@ -203,15 +203,6 @@ def _turn_from_clip(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: 
 
 def _turns(rig: Rig, joint: int) -> bool:
     return any(channel.endswith("rotation") for channel in rig.channels[joint])
-
-
-def _between(skeleton: Skeleton, top: int, bottom: int) -> list[int]:
-    """The joints below `top` down to `bottom`, from the top."""
-    out = []
-    while bottom != top:
-        out.append(bottom)
-        bottom = skeleton.parents[bottom]
-    return out[::-1]
 
 
 def _kept(rig: Rig, frames: int, clip: Motion | None) -> tuple[Doubles, Doubles]:
@@ -234,7 +225,7 @@ def _move(rig: Rig, places: Doubles, turned: Doubles, hips: Doubles) -> None:
     moved = mover(skeleton, rig.channels, rig.joints)
     assert moved is not None  # make_rig has checked it
     now = places[:, 0]
-    for joint in _between(skeleton, 0, rig.joints.places["Hips"]):
+    for joint in skeleton.between(0, rig.joints.places["Hips"]):
         now = now + quat_rotate(turned[:, skeleton.parents[joint]], places[:, joint])
     shift = hips - now
     if skeleton.parents[moved] >= 0:

@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Doubles
-from motionkit.motion.rotations import quat_multiply, quat_normalize
-from motionkit.motion.skeleton import Skeleton
+from motionkit.motion.rotations import quat_about, quat_multiply, quat_normalize
 from motionkit.rig.rest_pose import SIDES
 from motionkit.rig.rig import Rig
 
 _BONES = {"Arm": "ForeArm", "ForeArm": "Hand", "UpLeg": "Leg", "Leg": "Foot"}  # limb joints and their ends
 _WORDS = ("twist", "roll")
-_STRAIGHT = 0.005  # share of the bone by which a joint along it may lie off its axis, and still turn about it
+_STRAIGHT = 0.005  # share of the bone; a joint further from its axis does not twist about it
 
 
 def tables() -> dict[str, Any]:
@@ -37,23 +36,25 @@ class Twist:
         source: the joint that twists about axis.
         axis: (3,) direction of the bone in the rest pose.
         shares: joints and their share of the twist.
-        taken: whether the source gives its twist away.
+        from_source: whether the twist is removed from the source.
     """
 
     source: int
     axis: Doubles
     shares: dict[int, float]
-    taken: bool
+    from_source: bool
 
 
 def spread_twist(rig: Rig, local: Doubles) -> None:
     """Turn the twist joints of a rig by their share; local rotations (T, J, 4) are changed in place."""
     for one in twists(rig):
         angle = twist(local[:, one.source], one.axis)
-        if one.taken:
-            local[:, one.source] = quat_normalize(quat_multiply(local[:, one.source], turn(-angle, one.axis)))
+        if one.from_source:
+            local[:, one.source] = quat_normalize(
+                quat_multiply(local[:, one.source], quat_about(one.axis, -angle))
+            )
         for joint, share in one.shares.items():
-            local[:, joint] = turn(share * angle, one.axis)
+            local[:, joint] = quat_about(one.axis, share * angle)
 
 
 def twists(rig: Rig) -> Iterator[Twist]:
@@ -69,35 +70,20 @@ def twists(rig: Rig) -> Iterator[Twist]:
             if size <= 0.0:
                 continue
             axis = bone / size
-            chain = _along(rig.skeleton, top, end)
+            chain = rig.skeleton.between(top, end)[:-1]
             beside = _beside(rig, [top, *chain])
             if beside:
                 upper = part in ("Arm", "UpLeg")
                 far = np.clip((rest[beside] - rest[top]) @ axis / size, 0.0, 1.0) - float(upper)
                 shares = dict(zip(beside, far.tolist(), strict=True))
-                yield Twist(top if upper else end, axis, shares, taken=False)
+                yield Twist(top if upper else end, axis, shares, from_source=False)
             elif chain and _straight(rest[chain] - rest[top], axis, size):
-                yield Twist(top, axis, dict.fromkeys(chain, 1.0 / len(chain)), taken=True)
+                yield Twist(top, axis, dict.fromkeys(chain, 1.0 / len(chain)), from_source=True)
 
 
 def twist(rotations: Doubles, axis: Doubles) -> Doubles:
     """Angles (T,) in radians by which rotations (T, 4) turn about an axis (3,), continuous in time."""
     return np.unwrap(2.0 * np.arctan2(rotations[:, 1:] @ axis, rotations[:, 0]))
-
-
-def turn(angles: Doubles, axis: Doubles) -> Doubles:
-    """Rotations (T, 4) by angles (T,) about an axis (3,)."""
-    return np.concatenate([np.cos(angles / 2)[:, None], np.sin(angles / 2)[:, None] * axis], axis=1)
-
-
-def _along(skeleton: Skeleton, top: int, end: int) -> list[int]:
-    """The joints between a limb joint and its end, from the top."""
-    out = []
-    joint = skeleton.parents[end]
-    while joint != top:
-        out.append(joint)
-        joint = skeleton.parents[joint]
-    return out[::-1]
 
 
 def _beside(rig: Rig, bone: list[int]) -> list[int]:
@@ -111,7 +97,7 @@ def _beside(rig: Rig, bone: list[int]) -> list[int]:
     return [joint for joint in found if not any(skeleton.descends(other, joint) for other in known)]
 
 
-def _straight(ways: Doubles, axis: Doubles, size: float) -> bool:
+def _straight(offsets: Doubles, axis: Doubles, size: float) -> bool:
     """Whether joints that are away (N, 3) from the top of a bone lie on its axis."""
-    off = ways - (ways @ axis)[:, None] * axis
+    off = offsets - (offsets @ axis)[:, None] * axis
     return bool(np.linalg.norm(off, axis=1).max() <= _STRAIGHT * size)

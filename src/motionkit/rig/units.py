@@ -11,7 +11,7 @@ from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_NAMES, LEG_TO_STATURE, Skeleton
-from motionkit.reading import told_cm
+from motionkit.reading import user_cm
 from motionkit.rig.names import map_rig
 
 
@@ -37,7 +37,7 @@ SHORTEST, TALLEST, TYPICAL = 130.0, 215.0, 172.0
 PLAUSIBLE_LEG = (40.0, 140.0)  # cm, thigh plus shin of the smallest and the tallest people
 # Range of leg lengths in file units; kilometres and micrometres are outside. Division by less would overflow.
 SHORTEST_LEG, LONGEST_LEG = 1e-3, 1e6
-GIVEN = "given"
+BY_USER = "given"
 METRES_UP_TO = 3.0  # largest size, in file units, of a non-human rig in metres
 CHAINS_TO_STATURE = 1.17  # twice the longest chain of joints from the root, relative to the standing height
 
@@ -49,7 +49,7 @@ def likely_unit(height: float) -> Unit | None:
 
 
 def unit_symbol(cm: float) -> str:
-    """The symbol of the unit of so many cm; a unit that is not in the table is told by its length."""
+    """The symbol of the unit of so many cm; a unit that is not in the table is named by its length."""
     return next((unit.symbol for unit in UNITS if abs(unit.cm - cm) < 1e-6 * cm), f"units of {cm:.3g} cm")
 
 
@@ -65,18 +65,14 @@ def named_unit(text: str) -> float:
 
 
 def guess_scale(leg: float) -> tuple[float, str]:
-    """Detect the unit from a leg length in file units; if no unit fits, scale the body to a typical stature.
+    """Detect cm per unit from a leg length in file units, and say how; without a unit, by a typical stature.
 
-    Returns:
-        cm per file unit, and how it was determined.
-
-    Raises:
-        SkeletonError: the leg length is out of range.
+    Raises SkeletonError for a leg length that is out of range.
     """
     check_leg(leg)
-    cm = told_cm()
+    cm = user_cm()
     if cm is not None:
-        return cm, GIVEN
+        return cm, BY_USER
     unit = likely_unit(leg / LEG_TO_STATURE)
     if unit is not None:
         return unit.cm, f"detected from leg length: {unit.name}"
@@ -98,9 +94,9 @@ def motion_unit(motion: Motion) -> tuple[float, str]:
     The canonical joints are in cm if their legs have a plausible length. A non-human rig is in metres if it is small,
     else in cm.
     """
-    cm = told_cm()
+    cm = user_cm()
     if cm is not None:
-        return cm, GIVEN
+        return cm, BY_USER
     leg = rig_leg(motion.skeleton)
     if set(motion.skeleton.names) == set(JOINT_NAMES) and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
         return 1.0, "centimetres"

@@ -11,15 +11,15 @@ from motionkit.errors import SkeletonError
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_between, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
-from motionkit.reading import told_up
+from motionkit.reading import user_up
 from motionkit.rig.names import map_rig, name_part
-from motionkit.rig.rest_pose import SourceRig, body_frame, stands
+from motionkit.rig.rest_pose import SourceRig, body_frame, is_standing
 
 # Weights of Y and of the up axis of a standing rest pose, added to the mean cosine of recorded bodies with each axis.
 # Recorded bodies may lie on the floor or be upside down for a whole clip.
 Y_VOTES, REST_VOTES = 0.3, 0.4
-OWN_VOTES = 2.0  # weight of the rest pose's up axis in motionkit's own files
-_STANDS = 0.8  # cosine between an axis and the line from feet to head, above which a rest pose stands
+MOTIONKIT_VOTES = 2.0  # weight of the rest pose's up axis in motionkit's own files
+_STANDING = 0.8  # cosine between an axis and the line from feet to head, above which a rest pose stands
 _LIES_WITHIN = (0.05, 0.25)  # distances below and above height zero, as shares of the body's size
 _AXES = np.eye(3, dtype=np.float32)
 
@@ -59,31 +59,29 @@ def voted_up(
 def human_up(source: SourceRig, positions: Array) -> Array:
     """The axis (3,) that points up in recorded positions (T, J, 3) of a human rig, with its sign.
 
-    The recorded bodies, a preference for Y, and the rest pose decide; told_up overrides.
+    The recorded bodies, a preference for Y, and the rest pose decide; user_up overrides.
     """
-    given = told_up()
-    if given is not None:
-        return named_up(given)
-    places = source.rig.places
-    arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
-    hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
+    user = user_up()
+    if user is not None:
+        return named_up(user)
+    arms, hips = (positions[:, source.rig.pair(part)].sum(axis=1) / 2 for part in ("Arm", "UpLeg"))
     frame = body_frame(source)
-    rest = quat_rotate(frame, _AXES[1]) if stands(source, frame) else None
+    rest = quat_rotate(frame, _AXES[1]) if is_standing(source, frame) else None
     # The rest pose of motionkit's own files is upright, even if the recorded poses are few and show no standing body.
-    own = source.skeleton.same_hierarchy(canonical_skeleton())
-    return voted_up(positions, arms - hips, rest, OWN_VOTES if own else REST_VOTES)
+    canonical = source.skeleton.same_hierarchy(canonical_skeleton())
+    return voted_up(positions, arms - hips, rest, MOTIONKIT_VOTES if canonical else REST_VOTES)
 
 
 def up_axis(positions: Array, skeleton: Skeleton) -> Array:
     """The axis (3,) that points up in the global positions (T, J, 3) of any rig, with its sign.
 
-    Human rigs are asked by human_up, others that have feet and a head by the line between them. Without, it is Y or Z,
+    human_up finds it for human rigs, the line between feet and head for others that have both. Without, it is Y or Z,
     the axis along which the body is larger, and Y if in doubt. A long body such as a snake or an arm on a table lies on
     the ground of Y if its lowest joint is at about height zero along Y.
     """
-    given = told_up()
-    if given is not None:
-        return named_up(given)
+    user = user_up()
+    if user is not None:
+        return named_up(user)
     try:
         return human_up(SourceRig(skeleton, map_rig(skeleton), skeleton.rest_positions()), positions)
     except SkeletonError:
@@ -92,8 +90,8 @@ def up_axis(positions: Array, skeleton: Skeleton) -> Array:
     low = [joint for joint, part in enumerate(parts) if part in ("foot", "toe")]
     if high and low:
         rest = _between(skeleton.rest_positions()[None], high, low)[0]
-        stands = float(np.abs(rest).max()) > _STANDS * float(np.linalg.norm(rest))
-        return voted_up(positions, _between(positions, high, low), rest if stands else None)
+        standing = float(np.abs(rest).max()) > _STANDING * float(np.linalg.norm(rest))
+        return voted_up(positions, _between(positions, high, low), rest if standing else None)
     spread = (positions.max(axis=1) - positions.min(axis=1)).mean(axis=0)
     if spread[2] <= 1.5 * spread[1]:
         return _AXES[1]

@@ -19,7 +19,7 @@ from motionkit.motion.skeleton import Skeleton
 from motionkit.names import counted
 from motionkit.reading import reading
 from motionkit.rig.canonical import canonical_motion
-from motionkit.rig.names import map_rig
+from motionkit.rig.names import EXCHANGED, RigMap, map_rig
 from motionkit.rig.pose import SAMPLES
 from motionkit.rig.units import motion_unit
 from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
@@ -51,8 +51,8 @@ class InMetres:
     note: str
 
 
-def taken(motion: Motion) -> str:
-    """What a motion of any rig is taken to be, in words: frames, unit, up axis and joints."""
+def describe_motion(motion: Motion) -> str:
+    """How a motion of any rig is read, in words: frames, unit, up axis and joints."""
     positions = motion_kinematics(motion)[1]
     up = up_axis(positions, motion.skeleton)
     stays = "" if up[1] >= 1.0 else ", and stays so in BVH"
@@ -63,12 +63,24 @@ def taken(motion: Motion) -> str:
 def _joints(motion: Motion, positions: Array) -> str:
     """How the canonical joints of a motion are found, and which it lacks, in words."""
     try:
-        rig = map_rig(motion.skeleton, positions[:: max(1, len(motion) // SAMPLES)])
+        rig = _map_by_names(motion.skeleton) or map_rig(
+            motion.skeleton, positions[:: max(1, len(motion) // SAMPLES)]
+        )
     except SkeletonError:
         return f"{counted(len(motion.skeleton), 'joint')}, no known human rig"
-    ways = " and ".join(sorted({rig.found(name) for name in rig.places}))
+    sources = " and ".join(sorted({rig.found(name) for name in rig.places}))
     lacks = f" (no {', '.join(rig.missing())})" if rig.missing() else ""
-    return f"{len(rig.places)} joints found by {ways}{lacks}"
+    exchanged = f"; {EXCHANGED}" if rig.exchanged else ""
+    return f"{len(rig.places)} joints found by {sources}{lacks}{exchanged}"
+
+
+def _map_by_names(skeleton: Skeleton) -> RigMap | None:
+    """The map of a rig whose limbs are all named, which its poses would not change; None for other rigs."""
+    try:
+        rig = map_rig(skeleton)
+    except SkeletonError:
+        return None
+    return None if rig.by_shape else rig
 
 
 def in_metres(motion: Motion) -> InMetres:

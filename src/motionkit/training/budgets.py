@@ -11,11 +11,8 @@ from typing import Any
 class Budget:
     """Size of a run: steps, windows per batch, frames per window, and the initial learning rate.
 
-    Short runs need a higher rate than the paper's 1e-4. In all runs it halves at every quarter.
-
-    Attributes:
-        config: settings of part transformers that differ from the paper's.
-        options: options of training that differ from the paper's, by name.
+    Short runs need a higher rate than the paper's 1e-4. In all runs it halves at every quarter. config and options are
+    settings of part transformers and of training that differ from the paper's.
     """
 
     steps: int

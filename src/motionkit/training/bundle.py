@@ -42,7 +42,7 @@ REST = 0.35
 
 # Velocity blending restores movement that a network smooths away. Larger values overshoot when a body turns or brakes.
 BLEND = 0.3
-STEP_BLEND = 0.2  # for gaits and jumps, whose feet slide with larger values
+STEP_BLEND = 0.2  # velocity blending of gaits and jumps, whose feet slide with larger values
 # Reference gains are calibrated at the end of a run; a run that is stopped earlier keeps the default.
 GAIT = SamplingPreset(velocity_blend=STEP_BLEND, slip_correction=0.15, noise_scale=0.2)
 STANDING = replace(GAIT, noise_scale=0.7)
@@ -64,7 +64,6 @@ def bundle_model(
     A network with the paper's controls gets neither reference clips nor sampling presets.
 
     Args:
-        card: contents of the model card.
         references: whether the network was trained with reference poses.
         kept: types that are copied unchanged from the initial model.
     """
@@ -103,11 +102,7 @@ def _motion_type(dataset: Dataset, kind: str, gait: Gait | None) -> MotionType:
 
 
 def sampling_preset(known: MotionType, event: str | None) -> SamplingPreset:
-    """The sampling preset of a type.
-
-    Args:
-        event: what its phase follows: "kick", "punch", "jump", "" for whole stretches, None without a phase.
-    """
+    """The preset of a type whose phase follows "kick", "punch", "jump" or a whole stretch (""); None is no phase."""
     if known.kind.steered:
         return STANDING if known.kind is MotionKind.STANCE else GAIT
     if event is None:
@@ -115,30 +110,27 @@ def sampling_preset(known: MotionType, event: str | None) -> SamplingPreset:
     return {"": PERFORMANCE, "jump": JUMP}.get(event, STRIKE)
 
 
-def start_poses_of(dataset: Dataset, kind: str, stands: bool = False) -> list[StartPose]:
+def start_poses_of(dataset: Dataset, kind: str, standing: bool = False) -> list[StartPose]:
     """Start poses of a type: first frames of its training stretches, those nearest to its mean pose first.
 
     A start pose comes from the beginning of a stretch, because a cartwheel cannot start in its middle. The nearest are
     taken, because a stretch of running may begin in a crouch under an obstacle. A type without a training clip takes
-    the first clip's frames.
-
-    Args:
-        stands: whether the type is standing still; it then has up to STANCES start poses.
+    the first clip's frames. One that stands still has up to STANCES start poses.
     """
-    wanted = dataset.types.index(kind)
+    number = dataset.types.index(kind)
     columns = dataset.layout.blocks["joint_positions"]
     stretches: list[tuple[Clip, int, int]] = []
     total, count = np.zeros(columns.stop - columns.start, np.float32), 0
     for clip in dataset.select("train"):
-        mine = np.flatnonzero(dataset.clip_types(clip) == wanted)
+        mine = np.flatnonzero(dataset.clip_types(clip) == number)
         if len(mine):
             data = dataset.read(clip)
             begins = mine
             if dataset.phase_events.get(kind):
                 # A strike or jump starts where its phase does.
                 begins = mine[(data.phases[mine] >= 0.0) & (data.phases[mine] < 0.02)]
-            shown = data.features[mine][:, columns]
-            total, count = total + shown.sum(axis=0), count + len(shown)
+            poses = data.features[mine][:, columns]
+            total, count = total + poses.sum(axis=0), count + len(poses)
             if len(begins):
                 # Only up to the clip's first change of type.
                 mine = mine[mine >= begins[0]]
@@ -155,7 +147,7 @@ def start_poses_of(dataset: Dataset, kind: str, stands: bool = False) -> list[St
             far = float(np.linalg.norm(data.features[:, columns].mean(axis=0) - total / count))
             ranked.append((far, clip, StartPose(data.features, data.contacts, data.ground)))
     ranked.sort(key=lambda entry: (entry[0], entry[1].name))
-    if not stands:
+    if not standing:
         return [start for _, _, start in ranked[:STARTS_PER_TYPE]]
     # A mirrored clip has the same first row as its recording. It counts as another stance only if there are few.
     recordings: dict[int, StartPose] = {}
@@ -174,16 +166,14 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
     recording contributes once before any mirrored clip, and the total may grow to MOST_SECONDS. Recordings of bodies
     that climb are left out: without the stairs they would walk on air.
     """
-    wanted, fps = dataset.types.index(kind), dataset.fps
+    fps = dataset.fps
     longest, room = round(LONGEST_REFERENCE * fps), round(REFERENCE_SECONDS * fps)
     performed = dataset.phase_events.get(kind) == ""
     found: list[tuple[str, ReferenceClip]] = []
     recordings: dict[
         str, int
     ] = {}  # first row by clip name; a mirrored clip has the same row as its recording
-    for clip, start, end, type_id in dataset.stretches():
-        if type_id != wanted:
-            continue
+    for clip, start, end, _ in dataset.stretches(kind=kind):
         whole = dataset.read(clip, start, end + REFERENCE_OFFSETS[-1])
         poses = dataset.pose_embedding.of(whole.features)
         beyond = end - start + REFERENCE_OFFSETS[-1] - len(poses)
@@ -213,9 +203,9 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
         found = _not_too_short(found, fps)
         ordered = typical_first(found)
         kept = {id(reference_clip) for reference_clip in _with_room(ordered, room)}
-        shown = {recordings[name] for name, reference_clip in found if id(reference_clip) in kept}
+        kept_recordings = {recordings[name] for name, reference_clip in found if id(reference_clip) in kept}
         every = {recordings[name] for name, _ in found}
-        if len(shown) < len(every):
+        if len(kept_recordings) < len(every):
             ordered = typical_first([(str(recordings[name]), each) for name, each in found])
             one_of_each = sum(map(len, ordered[: len(every)])) / fps
             room = round(min(max(REFERENCE_SECONDS, one_of_each), MOST_SECONDS) * fps)

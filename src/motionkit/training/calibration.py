@@ -42,19 +42,18 @@ JERK_WEIGHT = 0.25  # weight of jerk above JERK
 # Jerk over recorded jerk above which jerk costs extra, with weight 1. The scoreboard allows 1.5 in a minute.
 MOST_JERK = 1.4
 JERK_OF_NOISE = 1.0  # JERK_WEIGHT for the calibration of noise
-SELDOM = 0.05  # added to shares of time before their ratio is taken, so that small shares matter little
+SELDOM = 0.05  # added to shares of time before their ratio, so that small shares matter little
 # Share of time that a motion may hover beyond the recorded share without cost, as in the scoreboard's target.
 HOVERING = 0.02
-NEARLY = 0.03  # the gain nearest to 1 is taken whose cost is at most this much above the lowest
+NEARLY = 0.03  # of gains whose cost is at most this much above the lowest, the one nearest to 1 wins
 
 
 @dataclass(frozen=True)
-class Manner:
+class Movement:
     """Measures of how a motion moves.
 
     Attributes:
         speed: mean angular speed of the joints in rad/s.
-        jerk: mean jerk of the joints in m/s^3.
         planted: share of time in which a toe is planted.
         hovering: share of time in which nothing touches the ground and the body does not fall freely.
     """
@@ -64,7 +63,7 @@ class Manner:
     planted: float
     hovering: float
 
-    def cost(self, recorded: Manner, jerk_weight: float = JERK_WEIGHT) -> float:
+    def cost(self, recorded: Movement, jerk_weight: float = JERK_WEIGHT) -> float:
         """Distance from the measures of a recorded motion, as a sum of logarithms of ratios.
 
         Speed and planted time count in both directions, hovering and jerk only where there is more. Jerk has a small
@@ -86,39 +85,26 @@ class Manner:
 
 
 def calibrated_gains(
-    model: MotionModel,
-    dataset: Dataset,
-    frames: int,
-    repeats: int = REPEATS,
-    gains: Sequence[float] = GAINS,
-    progress: Callable[[float], None] | None = None,
+    model: MotionModel, dataset: Dataset, frames: int, progress: Callable[[float], None] | None = None
 ) -> dict[str, float]:
     """Return the reference gain with which each type with reference clips moves most like its recordings.
 
-    Among gains of nearly the lowest cost, the one nearest to 1 is taken.
+    Among gains of nearly the lowest cost, the one nearest to 1 is taken. Types without recordings are left out.
 
     Args:
-        dataset: has the recordings; types without any are left out.
         frames: length of each roll-out.
-        repeats: roll-outs of each type, with successive seeds.
         progress: called with the finished share, 0 to 1.
     """
     if not model.uses_references:
         return {}
     moved = [kind for kind, known in model.types.items() if kind in dataset.types and known.reference_clips]
-    real = recorded_manners(dataset, moved)
-    tried = [with_presets(model, "reference_gain", dict.fromkeys(real, gain)) for gain in gains]
-    costs = _costs(tried, real, frames, repeats, JERK_WEIGHT, progress)
-    return {kind: _cheapest(gains, found) for kind, found in costs.items()}
+    tried = ("reference_gain", GAINS, JERK_WEIGHT)
+    costs = _costs(model, recorded_movements(dataset, moved), tried, frames, progress)
+    return {kind: _cheapest(GAINS, found) for kind, found in costs.items()}
 
 
 def calibrated_noise(
-    model: MotionModel,
-    dataset: Dataset,
-    frames: int,
-    repeats: int = REPEATS,
-    noises: Sequence[float] = NOISES,
-    progress: Callable[[float], None] | None = None,
+    model: MotionModel, dataset: Dataset, frames: int, progress: Callable[[float], None] | None = None
 ) -> dict[str, float]:
     """Return the noise scale with which each type moves most like its recordings without references.
 
@@ -128,26 +114,26 @@ def calibrated_noise(
         return {}
     alone = model.with_reference("none")
     moved = [kind for kind, known in alone.types.items() if kind in dataset.types and known.moves_by_noise]
-    real = recorded_manners(dataset, moved)
-    tried = [with_presets(alone, "noise_scale", dict.fromkeys(real, noise)) for noise in noises]
-    costs = _costs(tried, real, frames, repeats, JERK_OF_NOISE, progress)
-    return {kind: noises[int(np.argmin(found))] for kind, found in costs.items()}
+    tried = ("noise_scale", NOISES, JERK_OF_NOISE)
+    costs = _costs(alone, recorded_movements(dataset, moved), tried, frames, progress)
+    return {kind: NOISES[int(np.argmin(found))] for kind, found in costs.items()}
 
 
 def _costs(
-    tried: Sequence[MotionModel],
-    real: Mapping[str, Manner],
+    model: MotionModel,
+    real: Mapping[str, Movement],
+    tried: tuple[str, Sequence[float], float],
     frames: int,
-    repeats: int,
-    jerk_weight: float,
     progress: Callable[[float], None] | None,
 ) -> dict[str, list[float]]:
-    """For each recorded type, the cost of its roll-outs with each of the tried models."""
+    """For each recorded type, the costs of its roll-outs with a field of the presets, its values, by a jerk weight."""
+    field, values, jerk_weight = tried
     made = []
-    for model in tried:
-        made.append(made_manners(model, list(real), frames, repeats))
+    for value in values:
+        changed = with_presets(model, field, dict.fromkeys(real, value))
+        made.append(made_movements(changed, list(real), frames))
         if progress:
-            progress(len(made) / len(tried))
+            progress(len(made) / len(values))
     return {kind: [each[kind].cost(real[kind], jerk_weight) for each in made] for kind in real}
 
 
@@ -157,9 +143,9 @@ def with_presets(model: MotionModel, field: str, values: Mapping[str, float]) ->
     return model.with_types({kind: {"preset": preset} for kind, preset in presets.items()})
 
 
-def recorded_manners(dataset: Dataset, kinds: Collection[str]) -> dict[str, Manner]:
+def recorded_movements(dataset: Dataset, kinds: Collection[str]) -> dict[str, Movement]:
     """Mean measures of each type's training recordings; types without LEAST_FRAMES of them are left out."""
-    found: dict[str, list[tuple[Manner, int]]] = {kind: [] for kind in kinds}
+    found: dict[str, list[tuple[Movement, int]]] = {kind: [] for kind in kinds}
     for clip in dataset.select("train"):
         stretches = [
             (start, end, dataset.types[kind])
@@ -170,32 +156,32 @@ def recorded_manners(dataset: Dataset, kinds: Collection[str]) -> dict[str, Mann
             continue
         motion = dataset.motion(clip, dataset.read(clip))
         for start, end, kind in stretches:
-            found[kind].append((manner_of(motion.cut(start, end)), end - start))
+            found[kind].append((movement_of(motion.cut(start, end)), end - start))
     return {kind: _mean(each) for kind, each in found.items() if each}
 
 
-def made_manners(model: MotionModel, kinds: Sequence[str], frames: int, repeats: int) -> dict[str, Manner]:
+def made_movements(model: MotionModel, kinds: Sequence[str], frames: int) -> dict[str, Movement]:
     """Mean measures of roll-outs of each type over `frames` frames, made as `synthesize` does by default."""
-    found: dict[str, list[tuple[Manner, int]]] = {kind: [] for kind in kinds}
+    found: dict[str, list[tuple[Movement, int]]] = {kind: [] for kind in kinds}
     seconds = CHANGE + max(frames, LEAST_FRAMES) / model.fps
-    begun = round((NEUTRAL_SECONDS + CHANGE) * model.fps)
+    start = round((NEUTRAL_SECONDS + CHANGE) * model.fps)
     # Roll-outs of one type have successive seeds, which draw its recordings evenly.
-    each = [kind for kind in found for _ in range(repeats)]
+    each = [kind for kind in found for _ in range(REPEATS)]
     for first in range(0, len(each), TOGETHER):
         some = each[first : first + TOGETHER]
         seed = SEED + first
         plans = [commanded(model, kind, seconds, seed + i) for i, kind in enumerate(some)]
         made = synthesize(model, plans, SynthesisOptions(len(plans), seed)).motions
         for kind, one in zip(some, made, strict=True):
-            motion = one.motion.cut(begun, len(one.motion))
-            found[kind].append((manner_of(motion), len(motion)))
+            motion = one.motion.cut(start, len(one.motion))
+            found[kind].append((movement_of(motion), len(motion)))
     return {kind: _mean(each) for kind, each in found.items()}
 
 
-def manner_of(motion: Motion) -> Manner:
+def movement_of(motion: Motion) -> Movement:
     """The measures of a motion of at least LEAST_FRAMES."""
     positions = motion_kinematics(motion)[1]
-    return Manner(
+    return Movement(
         angular_speed(motion.local_rotations, range(1, JOINT_COUNT), motion.fps),
         mean_jerk(positions, motion.fps, motion.fps).value or 0.0,
         planted_share(positions).value or 0.0,
@@ -203,10 +189,10 @@ def manner_of(motion: Motion) -> Manner:
     )
 
 
-def _mean(found: Sequence[tuple[Manner, int]]) -> Manner:
+def _mean(found: Sequence[tuple[Movement, int]]) -> Movement:
     """The mean of measures, weighted by their numbers of frames."""
-    values = np.array([astuple(manner) for manner, _ in found])
-    return Manner(*np.average(values, axis=0, weights=[frames for _, frames in found]).tolist())
+    values = np.array([astuple(movement) for movement, _ in found])
+    return Movement(*np.average(values, axis=0, weights=[frames for _, frames in found]).tolist())
 
 
 def _cheapest(gains: Sequence[float], costs: Sequence[float]) -> float:

@@ -13,7 +13,7 @@ from motionkit.models.attention import LocalAttention
 from motionkit.models.network import PartTransformer
 from motionkit.models.predictor import Predictor
 from motionkit.training.losses import Batch, LossOptions, total_loss
-from motionkit.training.objective import OwnLosses, TrainingModule
+from motionkit.training.objective import NetworkLosses, TrainingModule
 from motionkit.training.optimizer import make_optimizers, set_rate
 from motionkit.training.options import TrainOptions
 from motionkit.training.processes import Processes
@@ -28,10 +28,7 @@ class Learner:
     """A network with its losses and optimizers.
 
     Attributes:
-        module: the network and its losses.
-        weights: the parameters of the module by name.
         average: running average of the network's weights by name, which becomes the model.
-        optimizers: each updates some of the weights.
         seeds: number of networks that are trained at once (StackedLearner).
     """
 
@@ -42,7 +39,7 @@ class Learner:
         self.module = (
             TrainingModule(network, dataset, options.losses)
             if isinstance(network, PartTransformer)
-            else OwnLosses(network, dataset)
+            else NetworkLosses(network, dataset)
         )
         self.module.to_device(processes.device)
         self.trainable = processes.shared(self.module)
@@ -84,20 +81,18 @@ class Learner:
     def step(self, batch: Batch, options: TrainOptions, at: Progress) -> dict[str, Tensor]:
         """Update the weights with a batch; return the losses by name, their "total", and the "gradient" norm.
 
-        On a GPU the next step overwrites the returned numbers, and nothing waits for them before they are read.
-
-        Args:
-            options: settings of the present stage of the run.
+        options are those of the present stage of the run. On a GPU the next step overwrites the returned numbers, and
+        nothing waits for them before they are read.
         """
         if options.losses != self._loss_options:
             self._loss_options = options.losses
             self.module.use(options.losses)
-            self._replayed = Replayed(lambda *given: self._step(*given, progress=at.share), self._state)
+            self._replayed = Replayed(lambda *inputs: self._step(*inputs, progress=at.share), self._state)
         # At first the average follows quickly, to forget the random initial weights.
         decay = min(options.optimizer.ema, (1.0 + at.step) / (10.0 + at.step))
         numbers = torch.tensor([at.rate, 1.0 - decay]).to(batch.inputs.device, non_blocking=True)
-        given = (numbers, *vars(batch).values())
-        values = self._replayed(*given) if self._replays else self._step(*given, progress=at.share)
+        inputs = (numbers, *vars(batch).values())
+        values = self._replayed(*inputs) if self._replays else self._step(*inputs, progress=at.share)
         return dict(zip(self._terms, values, strict=True))
 
     def _step(self, numbers: Tensor, *batch: Tensor, progress: float) -> tuple[Tensor, ...]:
@@ -130,13 +125,9 @@ class Learner:
 
     @torch.no_grad()
     def update(self, rate: Tensor, newest: Tensor) -> Tensor:
-        """Update the weights by their gradients, and the average of the weights; return the norm of the gradients.
+        """Update the weights at a rate, and their average by a weight of the newest; return the norm of the gradients.
 
         A gradient that is not finite counts as zero.
-
-        Args:
-            rate: the learning rate.
-            newest: the weight of the new weights in their average.
         """
         norm = self._clip([p for p in self.weights.values() if p.grad is not None])
         for each in self.optimizers:
@@ -169,9 +160,7 @@ class StackedLearner(Learner):
     """Networks of several seeds that are trained as one: weights, batches and losses have a first dimension of seeds.
 
     A step of small networks on a GPU costs what launching its kernels costs, and stacked networks share the kernels.
-
-    Args:
-        modules: one per seed, alike but for their weights; not recurrent ones, which torch cannot stack.
+    Modules are alike but for their weights, and not recurrent, which torch cannot stack.
     """
 
     module: TrainingModule
@@ -196,8 +185,8 @@ class StackedLearner(Learner):
         def one(
             weights: dict[str, Tensor], buffers: dict[str, Tensor], *tensors: Tensor
         ) -> tuple[Tensor, ...]:
-            given = (Batch(*tensors), self.autocast, progress)
-            found = torch.func.functional_call(self.module, (weights, buffers), given)
+            inputs = (Batch(*tensors), self.autocast, progress)
+            found = torch.func.functional_call(self.module, (weights, buffers), inputs)
             names[:] = found
             return tuple(found.values())
 

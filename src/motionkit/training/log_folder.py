@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 TABLE = "log.csv"
 
 
-class LogFolder:
+class LogFolder(AbstractContextManager["LogFolder"]):
     """Writes the losses and scores of a run; called with its events.
 
     log.csv has a row for each logged step: step, seconds and the losses by name. A resumed run adds rows to it.
@@ -52,12 +52,7 @@ class LogFolder:
         for name, value in values.items() if self._board is not None else ():
             self._board.add_scalar(name, value, step)
 
-    def __enter__(self) -> LogFolder:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *details: object) -> None:
         if self._board is not None:
             self._board.close()
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from motionkit.features.layout import feature_layout
 from motionkit.models.batch import Batch, FeatureSpace
-from motionkit.models.consistency import ConsistencyModules, feature_difference, safe_norm, shared_data
+from motionkit.models.layers import FeedForward
 from motionkit.models.network import PartTransformer, Prediction
 from motionkit.models.torch_rotations import decode_rotations, quat_from_yaw, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS
@@ -40,6 +40,45 @@ class LossOptions:
     # Foot slip: "ground" measures it over the ground, "paper" as eq. 8 is written (fk_loss, paper_foot_slip).
     foot_term: str = "ground"
     weights: dict[str, float] = field(default_factory=lambda: dict(WEIGHTS))  # weights of the six losses
+
+
+class ConsistencyModules(nn.Module):
+    """A two-layer network per part and level, from the shared channels to the data of the shared joints."""
+
+    def __init__(self, network: PartTransformer) -> None:
+        super().__init__()
+        config = network.config
+        self.parts = len(network.body.parts)
+        self.channels = config.embedding.shared_channels
+        self.outputs = 12 * len(network.body.shared)
+        sizes = (self.parts, self.channels, config.head.consistency_hidden, self.outputs)
+        self.shallow, self.deep = FeedForward(*sizes), FeedForward(*sizes)
+
+    def forward(self, shallow: Tensor, deep: Tensor) -> tuple[Tensor, Tensor]:
+        """Decode features (P, B, T, D) of both levels to data (P, B, T, 12 S)."""
+        return self.shallow(shallow[..., : self.channels].float()), self.deep(
+            deep[..., : self.channels].float()
+        )
+
+
+def shared_data(network: PartTransformer, x_BTF: Tensor) -> Tensor:
+    """Return the shared joints' columns (B, T, 12 S) of features, in the order of the parts' inputs."""
+    columns = network.part_columns[0, : 12 * len(network.body.shared)]
+    return x_BTF[..., columns]
+
+
+def feature_difference(features: Tensor, channels: int) -> Tensor:
+    """Return the mean distance between the shared channels of pairs of parts (paper L_feat), a scalar."""
+    shared = features[..., :channels].float()
+    pairs = [(p, q) for p in range(len(shared)) for q in range(p)]
+    if not pairs:
+        return torch.zeros((), device=features.device)
+    return torch.stack([safe_norm(shared[p] - shared[q]).mean() for p, q in pairs]).mean()
+
+
+def safe_norm(x: Tensor) -> Tensor:
+    """Return the Euclidean norm over the last dimension, with a finite gradient at zero."""
+    return torch.sqrt(x.float().square().sum(-1) + 1e-8)
 
 
 def _mean(values: Tensor, mask: Tensor) -> Tensor:
@@ -103,12 +142,7 @@ LEGS, TOES = tuple(_leg(ankle) for ankle in FOOT_JOINTS[::2]), FOOT_JOINTS[1::2]
 
 
 def foot_positions(features: Tensor, offsets: Tensor, space: FeatureSpace) -> Tensor:
-    """Return foot positions (B, T, 4, 3) in cm relative to the root, in the heading frame.
-
-    Args:
-        features: (B, T, 276) unnormalised.
-        offsets: (B, 23, 3) of the bodies, in cm.
-    """
+    """Return feet (B, T, 4, 3) in cm under the root, in the heading frame, of unnormalised features and bones in cm."""
     joints = [joint for leg in LEGS for joint in leg]
     rotations = decode_rotations(features, space.reference_rotations, space.layout, joints)
     bends = rotations[..., 1:, :].unflatten(-2, (len(LEGS), -1)).unbind(-2)
@@ -140,7 +174,6 @@ def fk_loss(
     on lower feet.
 
     Args:
-        slip_weight: weight of the slip.
         step_weight: weight of the step loss, as one number or per frame (B, T).
         foot_term: "paper" for the slip of eq. 8 as it is written (paper_foot_slip).
     """
@@ -160,14 +193,14 @@ def fk_loss(
         loss = loss + slip_weight * _mean((both * slip).sum(-1), batch.mask[:, 1:])
     if isinstance(step_weight, Tensor) or step_weight:
         with torch.no_grad():
-            given = space.denormalize(batch.inputs[:, 1:])
-            start = (foot_positions(given, batch.offsets, space), space.root_height(given))
+            current = space.denormalize(batch.inputs[:, 1:])
+            start = (foot_positions(current, batch.offsets, space), space.root_height(current))
             height = space.root_height(truth)
-            wanted = _foot_moves(truth[:, 1:], true[:, 1:], true[:, :-1], height[:, :-1], space)
+            true_moves = _foot_moves(truth[:, 1:], true[:, 1:], true[:, :-1], height[:, :-1], space)
             low = (1.0 - (true[:, 1:, :, 1] + height[:, 1:, None]) / NEAR_GROUND).clamp(0.0, 1.0)
         moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, space)
         # Vertical movement does not count: a body that is too high or too low must be free to come back.
-        off = (moves - wanted)[..., ::2].abs().sum(-1) / FOOT_UNIT
+        off = (moves - true_moves)[..., ::2].abs().sum(-1) / FOOT_UNIT
         weights = step_weight[:, 1:] if isinstance(step_weight, Tensor) else step_weight
         loss = loss + _mean(weights * (low * off).sum(-1), batch.mask[:, 1:])
     return loss
@@ -178,19 +211,16 @@ def paper_foot_slip(
 ) -> Tensor:
     """Return the foot slip, the second term of eq. 8, as the paper writes it.
 
-    It compares the feet of one frame by forward kinematics, in the root's space, with the foot positions in the
-    predicted mean of the next frame. The predicted contacts of both frames weight it, with gradient.
-
-    Args:
-        feet: (B, T, 4, 3) foot positions in cm relative to the root, by forward kinematics.
-        features: (B, T, 276) unnormalised means.
+    It compares the feet (B, T, 4, 3) of one frame by forward kinematics, in cm in the root's space, with the foot
+    positions in the predicted unnormalised mean of the next frame. The predicted contacts of both frames weight it,
+    with gradient.
     """
     # Slices, because a list of indices comes from the CPU, and a CUDA graph cannot wait for that.
     rows = feature_layout(space.layout).indices("joint_positions", FOOT_JOINTS)
-    given = torch.stack([features[:, 1:, first : last + 1] for first, _, last in rows], dim=-2)
+    predicted_feet = torch.stack([features[:, 1:, first : last + 1] for first, _, last in rows], dim=-2)
     height = torch.zeros_like(feet[..., :1, :])
     height[..., 0, 1] = space.root_height(features)
-    moved = (feet + height)[:, :-1] - given
+    moved = (feet + height)[:, :-1] - predicted_feet
     touching = torch.sigmoid(prediction.contact_logits)
     both = touching[:, 1:] * touching[:, :-1]
     return _mean((both * moved.abs().sum(-1) / FOOT_UNIT).sum(-1), batch.mask[:, 1:])
@@ -201,10 +231,7 @@ def _foot_moves(
 ) -> Tensor:
     """Return the movement (B, T, 4, 3) in cm of the feet over the ground, in the later frame's heading frame.
 
-    Args:
-        features: (B, T, 276) unnormalised features of the later frames.
-        feet, before: (B, T, 4, 3) foot positions in cm relative to the root, in the later and the earlier frames.
-        height_before: (B, T) height of the root in cm in the earlier frames.
+    features are unnormalised ones of the later frames; feet, before and height_before are in cm.
     """
     blocks = feature_layout(space.layout).blocks
     turn = features[..., blocks["root_yaw_velocity"]] / space.fps
@@ -245,8 +272,7 @@ def training_losses(
 ) -> dict[str, Tensor]:
     """Return all six losses by name, unweighted.
 
-    Args:
-        step_share: (C,) weights whose product with a frame's controls is the factor on its step_weight; None for 1.
+    step_share (C,) are weights whose product with a frame's controls is the factor on its step_weight; None for 1.
     """
     options = options or LossOptions()
     rules = (options.outlier, options.beta_nll)

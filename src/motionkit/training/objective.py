@@ -10,13 +10,18 @@ from torch import Tensor, nn
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError
 from motionkit.features.control import ControlLayout
-from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.network import PartTransformer
 from motionkit.models.predictor import Predictor
-from motionkit.training.losses import Batch, FeatureSpace, LossOptions, training_losses
+from motionkit.training.losses import (
+    Batch,
+    ConsistencyModules,
+    FeatureSpace,
+    LossOptions,
+    training_losses,
+)
 
 
-class OwnLosses(nn.Module):
+class NetworkLosses(nn.Module):
     """A network that defines its own losses (Predictor.losses), as one module."""
 
     def __init__(self, network: Predictor, dataset: Dataset) -> None:
@@ -42,7 +47,7 @@ class OwnLosses(nn.Module):
             return self.network.losses(batch, self.space, progress)
 
 
-class TrainingModule(OwnLosses):
+class TrainingModule(NetworkLosses):
     """A part transformer with its consistency modules and the losses of training/losses.py."""
 
     network: PartTransformer

@@ -26,11 +26,7 @@ AS_ADAMW = 0.2  # usual root mean square of an AdamW update at rate 1
 
 
 def orthogonalized(x: Tensor, bfloat16: bool = False) -> Tensor:
-    """Return matrices (B, M, N) with the singular vectors of x and singular values near 1, by Newton-Schulz iteration.
-
-    Args:
-        bfloat16: whether to multiply in 16 bits.
-    """
+    """Return matrices (B, M, N) with the singular vectors of x and singular values near 1, by Newton-Schulz steps."""
     turned, dtype = x.shape[-2] > x.shape[-1], x.dtype
     x = _low(x)  # x x^T is smaller than x^T x
     x = x / (torch.linalg.matrix_norm(x, keepdim=True) + 1e-7)
@@ -45,11 +41,9 @@ def orthogonalized(x: Tensor, bfloat16: bool = False) -> Tensor:
 
 
 class Muon(torch.optim.Optimizer):
-    """Muon for parameters (..., M, C N), which hold C matrices (M, N) side by side for each part, and for each seed.
+    """Muon for parameters (..., M, C N), each given with its C: they hold C matrices (M, N) side by side for each part.
 
-    Args:
-        parameters: pairs of a parameter and its C.
-        bfloat16: as for orthogonalized.
+    Of several seeds, they hold those of each seed.
     """
 
     def __init__(
@@ -59,9 +53,9 @@ class Muon(torch.optim.Optimizer):
         weight_decay: float,
         bfloat16: bool,
     ) -> None:
-        given = list(parameters)
-        super().__init__([p for p, _ in given], {"lr": rate, "weight_decay": weight_decay})
-        self.counts = [count for _, count in given]
+        pairs = list(parameters)
+        super().__init__([p for p, _ in pairs], {"lr": rate, "weight_decay": weight_decay})
+        self.counts = [count for _, count in pairs]
         self.bfloat16 = bfloat16
 
     @torch.no_grad()
@@ -145,13 +139,9 @@ def make_optimizers(
     options: OptimizerOptions,
     bfloat16: bool,
 ) -> list[torch.optim.Optimizer]:
-    """Return the optimizers of parameters by name.
+    """Return the optimizers of parameters by name; matrices are those that Muon may update (layer_matrices).
 
     On a GPU the learning rate is a tensor, so that a CUDA graph of a step reads the present one.
-
-    Args:
-        matrices: the number of matrices side by side in those parameters that Muon may update (layer_matrices).
-        bfloat16: whether Muon may multiply in 16 bits.
     """
     counts = matrices if options.method == "muon" else {}
     device = next(iter(parameters.values())).device

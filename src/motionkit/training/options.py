@@ -47,12 +47,7 @@ class OutputOptions:
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of a run with settings of its own.
-
-    Attributes:
-        begins: share of the run, 0 to 1, at which the stage begins.
-        changes: options of losses, windows or scheduled sampling by name.
-    """
+    """A part of a run: the share of it, 0 to 1, at which it begins, and changes of options by name."""
 
     begins: float
     changes: dict[str, Any]

@@ -10,25 +10,21 @@ from motionkit.data.dataset import Dataset
 from motionkit.models.architectures import build
 from motionkit.models.checkpoint import save_model
 from motionkit.models.model import MotionModel
-from motionkit.training.beginning import Beginning
 from motionkit.training.bundle import bundle_model
 from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_presets
+from motionkit.training.initial_network import InitialNetwork
 from motionkit.training.learner import Learner
 from motionkit.training.report import RunReport
 from motionkit.training.scores import TypeScore, score_rollouts
 
 
 class Outcome:
-    """Makes, scores and writes the model of a run.
-
-    Args:
-        path: the model file.
-    """
+    """Makes, scores and writes the model of a run."""
 
     def __init__(
-        self, path: Path, dataset: Dataset, beginning: Beginning, learner: Learner, report: RunReport
+        self, path: Path, dataset: Dataset, initial: InitialNetwork, learner: Learner, report: RunReport
     ) -> None:
-        self.path, self.dataset, self.beginning = path, dataset, beginning
+        self.path, self.dataset, self.initial = path, dataset, initial
         self.learner, self.report = learner, report
         self.options = report.progress.options
         self.frames = int(self.options.output.score_seconds * dataset.fps)  # per roll-out; 0 for no scores
@@ -46,7 +42,7 @@ class Outcome:
         trained, at = self.learner.network, self.report.progress
         with torch.random.fork_rng(devices=[]):  # keeps the random state of the run
             network = build(trained.config, trained.control_size)
-        network.load_state_dict(self.beginning.part_way_back(self.learner.averages()[0]))
+        network.load_state_dict(self.initial.towards_initial(self.learner.averages()[0]))
         card = {
             "dataset": {"clips": len(self.dataset.clips), "types": list(self.dataset.types)},
             "options": self.options.to_dict(),
@@ -55,9 +51,9 @@ class Outcome:
             "losses": {n: round(v, 5) for n, v in at.losses.items()},
             "scores": {s.type: s.to_dict() for s in self.scores},
         }
-        shown = self.options.sampler.controls.reference_dropout < 1.0
-        references = shown and network.config.controls == "extended"
-        model = bundle_model(network.weights(), self.dataset, card, references, self.beginning.kept)
+        with_references = self.options.sampler.controls.reference_dropout < 1.0
+        references = with_references and network.config.controls == "extended"
+        model = bundle_model(network.weights(), self.dataset, card, references, self.initial.kept)
         model = with_presets(model, "reference_gain", self.gains)
         return with_presets(model, "noise_alone", self.noises)
 
@@ -68,7 +64,7 @@ class Outcome:
 
     def _calibrate(self) -> None:
         # Calibration takes many roll-outs, so they have half the length of scored ones.
-        kept, frames, stage = self.beginning.kept, self.frames // 2, self.report.stage
+        kept, frames, stage = self.initial.kept, self.frames // 2, self.report.stage
         tell = stage("calibrating reference poses")
         gains = calibrated_gains(self.model(), self.dataset, frames, progress=tell)
         self.gains = {kind: gain for kind, gain in gains.items() if kind not in kept}

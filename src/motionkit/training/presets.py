@@ -72,7 +72,6 @@ def train_options(
     """Return the options of a preset with some of them changed.
 
     Args:
-        name: the preset.
         budget: a name in BUDGETS, for presets with the paper's training; other arguments override it.
         changes: options of any group by name, such as rate=1e-4, window=64 or step_weight=35; None keeps the
             preset's value.
@@ -82,39 +81,35 @@ def train_options(
         TypeError: if an option is unknown.
     """
     as_in_paper = preset(name).controls == "paper"
-    wanted = {option: value for option, value in changes.items() if value is not None}
+    chosen = {option: value for option, value in changes.items() if value is not None}
     if not as_in_paper:
-        wanted = {"splices": _splices(SamplerOptions().splices, TRAIN_MINUTES, minutes, steps)} | wanted
+        chosen = {"splices": _splices(SamplerOptions().splices, TRAIN_MINUTES, minutes, steps)} | chosen
     if budget is not None:
         if not as_in_paper:
             raise ModelError(f"budgets are for presets that train as the paper does, not for {name}")
         size = BUDGETS[budget]
         steps = size.steps if steps is None and minutes is None else steps
         sizes = {"batch": size.batch, "window": size.window, "rate": size.rate}
-        wanted = sizes | dict(size.options) | wanted
+        chosen = sizes | dict(size.options) | chosen
         if isinstance(preset(name), ModelConfig):
-            wanted["config"] = {**size.config, **wanted.get("config", {})}
+            chosen["config"] = {**size.config, **chosen.get("config", {})}
     recipe = PAPER if as_in_paper else {"stages": STAGES}
     options = TrainOptions(preset=name, steps=steps, minutes=minutes, **recipe)
     # Changes hold in all stages.
     stages = tuple(
-        Stage(stage.begins, {k: v for k, v in stage.changes.items() if k not in wanted})
+        Stage(stage.begins, {k: v for k, v in stage.changes.items() if k not in chosen})
         for stage in options.stages
     )
-    return with_changes(options, {"stages": stages} | wanted)
+    return with_changes(options, {"stages": stages} | chosen)
 
 
 def fine_tune_options(
     name: str, init: str = BUNDLED, steps: int | None = None, minutes: float | None = None, **changes: Any
 ) -> TrainOptions:
-    """Return the options of a run that starts from a model; arguments as for train_options.
-
-    Args:
-        init: the model file, or "bundled".
-    """
-    given = {option: value for option, value in changes.items() if value is not None}
+    """Return the options of a run that starts from a model file, or "bundled"; arguments as for train_options."""
+    chosen = {option: value for option, value in changes.items() if value is not None}
     splices = _splices(FINE_TUNE["splices"], FINE_TUNE_MINUTES, minutes, steps)
-    return train_options(name, steps, minutes, init=init, **(FINE_TUNE | {"splices": splices} | given))
+    return train_options(name, steps, minutes, init=init, **(FINE_TUNE | {"splices": splices} | chosen))
 
 
 def _splices(most: int, whole: float, minutes: float | None, steps: int | None) -> int:

@@ -24,12 +24,12 @@ class Processes:
     @classmethod
     def join(cls, device: str) -> Processes:
         """Join the process group of torchrun, if there is one; device is "auto", "cpu", "cuda" or "cuda:1"."""
-        own = resolve_device(device)
+        local = resolve_device(device)
         if "RANK" not in os.environ or int(os.environ.get("WORLD_SIZE", "1")) < 2:
-            return cls(own)
+            return cls(local)
         if not dist.is_initialized():
-            dist.init_process_group("nccl" if own.type == "cuda" else "gloo")
-        return cls(own, dist.get_rank(), dist.get_world_size())
+            dist.init_process_group("nccl" if local.type == "cuda" else "gloo")
+        return cls(local, dist.get_rank(), dist.get_world_size())
 
     @property
     def first(self) -> bool:

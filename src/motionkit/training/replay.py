@@ -42,8 +42,8 @@ class Replayed:
         if self._graph is None or [x.shape for x in inputs] != [x.shape for x in self._inputs]:
             self._capture(inputs)
         assert self._graph is not None
-        for static, given in zip(self._inputs, inputs, strict=True):
-            static.copy_(given, non_blocking=True)
+        for static, fresh in zip(self._inputs, inputs, strict=True):
+            static.copy_(fresh, non_blocking=True)
         self._graph.replay()
         return self._outputs
 

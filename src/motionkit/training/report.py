@@ -34,13 +34,7 @@ class TrainEvent:
 
 
 class RunReport:
-    """Sends the events of a run and writes its log.
-
-    Args:
-        folder: the folder of log.jsonl.
-        on_event: called with each event.
-        writes: whether to report at all; only the first process of a run does.
-    """
+    """Sends the events of a run and writes its log, if it is to report at all: only the first process of a run does."""
 
     def __init__(
         self, folder: Path, progress: Progress, on_event: Callable[[TrainEvent], None] | None, writes: bool

@@ -17,6 +17,7 @@ from motionkit.errors import DatasetError, ModelError
 from motionkit.files import atomic_write
 from motionkit.models.file_check import TensorFacts, check_number, check_shapes, check_values
 from motionkit.models.tensor_file import TensorFile, open_tensors
+from motionkit.seeds import LARGEST_SEED
 from motionkit.training.learner import Learner
 from motionkit.training.optimizer import Muon
 from motionkit.training.options import TrainOptions, flat_options, with_changes
@@ -32,14 +33,18 @@ MOST_BLOCK = 1000  # most steps of a block
 # Options that a resumed run may change: its length and its outputs.
 # "sampler.splices" stays that of the beginning, as the number depends on the minutes.
 FREE_ON_RESUME = ("steps", "minutes", "output.", "sampler.splices")
+# Options that a resumed run takes from its checkpoint: the most, and whether a number is whole and must be there.
+TAKEN = {
+    "seed": (LARGEST_SEED, True, True),
+    "sampler.splices": (100_000, True, True),
+    "sampler.kept_share": (1, False, False),
+    "steps": (MOST_STEPS, True, False),
+    "minutes": (MOST_STEPS, False, False),
+}
 
 
 class Checkpoint:
-    """The checkpoint of a run; a run can only be resumed with the same options and clips.
-
-    Args:
-        folder: the folder of the run.
-    """
+    """The checkpoint in the folder of a run; a run can only be resumed with the same options and clips."""
 
     def __init__(self, folder: Path, dataset: Dataset, options: TrainOptions) -> None:
         self.path, self.options = folder / "checkpoint.safetensors", options
@@ -48,8 +53,7 @@ class Checkpoint:
     def save(self, learner: Learner, at: Progress, block: BlockStart | None) -> None:
         """Write weights, their running average, optimizer states, the random state, options and progress.
 
-        Args:
-            block: the start of the present block; None between blocks.
+        block is the start of the present block; None between blocks.
         """
         facts = {
             "format": FORMAT,
@@ -85,9 +89,8 @@ class Checkpoint:
         if not path.is_file():
             raise DatasetError(f"{path}: no checkpoint to resume from")
         with _open_run(path) as (file, facts):
-            before = flat_options(facts["options"])
-            self._check_options(before)
-            self.options = with_changes(self.options, {"splices": before["sampler.splices"]})
+            self._check_options(flat_options(facts["options"]))
+            self.options = with_changes(self.options, {"splices": _taken(path, facts)["sampler.splices"]})
             try:
                 _check_fit(file.found, learner, "block" in facts)
                 tensors = {name: torch.from_numpy(array) for name, array in file.read_all().items()}
@@ -124,7 +127,19 @@ class Checkpoint:
 def run_options(path: Path) -> dict[str, Any]:
     """The options of a checkpoint's run, by the names of flat_options; raises ModelError if it is damaged."""
     with _open_run(path) as (_, facts):
-        return flat_options(facts["options"])
+        return _taken(path, facts)
+
+
+def _taken(path: Path, facts: dict[str, Any]) -> dict[str, Any]:
+    """The options of a run by flat names; those of TAKEN are numbers within their limits, or None."""
+    options = flat_options(facts["options"])
+    try:
+        for name, (most, whole, needed) in TAKEN.items():
+            if needed or options.setdefault(name) is not None:
+                check_number(name, options.get(name), 0, most, whole)
+    except ModelError as error:
+        raise ModelError(f"{path}: the checkpoint is damaged ({error})") from None
+    return options
 
 
 @contextmanager

@@ -44,12 +44,7 @@ class WindowSampler:
         kept: tuple[str, ...] = (),
         controls: str = "extended",
     ) -> None:
-        """Index the training clips.
-
-        Args:
-            kept: types that together get options.kept_share of the windows.
-            controls: kind of control signals (features/control.py).
-        """
+        """Index the training clips; kept types together get options.kept_share of the windows."""
         self.dataset, self.options, self.seed, self.kept = dataset, options, seed, kept
         self.clips = dataset.select("train")
         if not self.clips:
@@ -92,12 +87,12 @@ class WindowSampler:
 
     def _window(self, generator: torch.Generator) -> dict[str, Array]:
         options, T = self.options, self.options.window
-        where, at, place, shown = torch.rand(4, generator=generator, dtype=torch.float64).tolist()
+        where, at, place, trajectory_draw = torch.rand(4, generator=generator, dtype=torch.float64).tolist()
         if self.cuts:
             number, start = self.cuts[int(where * len(self.cuts))]
             clip = self.clips[number]
             data, body = self.dataset.read(clip, start, start + T + BEYOND), clip.body
-            return self.windows.make(data, body, options, shown, generator)
+            return self.windows.make(data, body, options, trajectory_draw, generator)
         kind = int(torch.multinomial(self.probabilities, 1, generator=generator))
         spliced = self.splice_spans.get(kind) if where < options.splice_share else None
         spans = spliced or self.spans[kind]
@@ -112,7 +107,7 @@ class WindowSampler:
             clip = self.clips[span.source]
             start = max(0, min(first, clip.frames - T - 1))
             data, body = self.dataset.read(clip, start, start + T + BEYOND), clip.body
-        return self.windows.make(data, body, options, shown, generator)
+        return self.windows.make(data, body, options, trajectory_draw, generator)
 
 
 def type_probabilities(
@@ -121,7 +116,6 @@ def type_probabilities(
     """Probability (N,) of each type to be drawn for a window.
 
     Args:
-        frames: training frames by type id.
         kept: types that together get options.kept_share.
 
     Raises:
@@ -148,13 +142,10 @@ def type_probabilities(
 
 
 def cut_windows(tracks: Sequence[Array], options: SamplerOptions, types: int) -> list[tuple[int, int]]:
-    """Clip and first frame of each of the paper's windows (section 4.3, steps 1 to 4); none without options.interval.
+    """Clip and first frame of each of the paper's windows (section 4.3, steps 1 to 4), by type ids (T,) of each clip.
 
-    Windows at the end of a clip are shorter, down to LEAST_CUT frames, because most free clips are shorter than 300.
-
-    Args:
-        tracks: type ids (T,) of each clip.
-        types: number of types.
+    There are none without options.interval. Windows at the end of a clip are shorter, down to LEAST_CUT frames, because
+    most free clips are shorter than 300.
     """
     if not options.interval:
         return []

@@ -44,9 +44,7 @@ class ScheduledSamplingOptions:
 class PredictedInputs:
     """Replaces inputs of windows by predictions of a network. On a GPU the whole roll-out is one CUDA graph.
 
-    Args:
-        reference_matrix: (276, 72) matrix of the ReferenceMap, to make reference poses relative to predictions.
-        space: converts normalised features to units.
+    The matrix (276, 72) of the ReferenceMap makes reference poses relative to predictions.
     """
 
     def __init__(self, network: Predictor, reference_matrix: Tensor, space: FeatureSpace) -> None:
@@ -61,37 +59,33 @@ class PredictedInputs:
         """Return a batch in which short sequences of inputs and contacts are predictions of the network.
 
         A frame at which the input returns to the recorded frame is masked from the losses, because no body makes that
-        step.
-
-        Args:
-            generators: one per window, on the device of the batch, so that windows do not depend on each other.
+        step. Each window has a generator on the batch's device, so that windows do not depend on each other.
         """
         if options != self.options:
             self.options, self._roll_out = options, Replayed(self._frames)
         _, T, F = batch.inputs.shape
         fresh = torch.stack([torch.randn(T, F, generator=g, device=g.device) for g in generators])
         chance = torch.stack([torch.rand(T, generator=g, device=g.device) for g in generators])
-        given = (batch.inputs, batch.targets, batch.contacts, batch.controls, batch.mask)
+        arrays = (batch.inputs, batch.targets, batch.contacts, batch.controls, batch.mask)
         was_training = self.network.training
         self.network.eval()
-        made = self._roll_out(*given, fresh, chance)
+        made = self._roll_out(*arrays, fresh, chance)
         self.network.train(was_training)
         # Copies, because the next call overwrites a graph's results.
         inputs, contacts, controls, mask = (x.clone() for x in made)
         return replace(batch, inputs=inputs, contacts=contacts, controls=controls, mask=mask)
 
     def _frames(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        """Roll out and return inputs, contacts, controls and mask.
+        """Return inputs, contacts, controls and mask of a roll-out.
 
-        Args:
-            tensors: inputs, targets, contacts, controls and mask of a batch, normal noise (B, T, F), and uniform
-                random numbers (B, T).
+        tensors are inputs, targets, contacts, controls and mask of a batch, normal noise (B, T, F), and uniform random
+        numbers (B, T).
         """
         inputs, targets, contacts, controls, mask, fresh, chance = tensors
         options, network, device = self.options, self.network, inputs.device
         step = _frame_step(network, len(inputs), device)
-        shown = slice(network.control_size - 1 - REFERENCE_COUNT, network.control_size - 1)
-        phase = slice(shown.start - 2, shown.start)
+        reference_columns = slice(network.control_size - 1 - REFERENCE_COUNT, network.control_size - 1)
+        phase = slice(reference_columns.start - 2, reference_columns.start)
         reference_gain = controls[..., network.control_size - 1] > 0
         if network.config.controls == "paper":  # no reference poses
             reference_gain = torch.zeros_like(reference_gain)
@@ -99,7 +93,7 @@ class PredictedInputs:
         stays = chance >= torch.where(timed, options.reference_back, options.back)
         limit = torch.where(timed, options.reference_limit, options.limit)
         inputs, contacts, controls, mask = (x.clone() for x in (inputs, contacts, controls, mask))
-        own = torch.zeros_like(stays[:, 0])
+        rolled = torch.zeros_like(stays[:, 0])
         noise, rho = fresh[:, 0], options.rho
         for t in range(inputs.shape[1] - 1):
             made = step(inputs[:, t], contacts[:, t], controls[:, t])
@@ -107,13 +101,15 @@ class PredictedInputs:
             frame = self._keep_rotation(made.mean + options.temperature * noise * torch.exp(made.log_sigma))
             error = (frame - targets[:, t]).square().mean(dim=-1).sqrt()
             now = stays[:, t] & (error < limit[:, t])
-            mask[:, t + 1] *= ~(own & ~now)
+            mask[:, t + 1] *= ~(rolled & ~now)
             chosen = now[:, None]
             moved = torch.where(chosen, frame - inputs[:, t + 1], 0.0)
             inputs[:, t + 1] += moved
-            controls[:, t + 1, shown] -= reference_gain[:, t + 1, None] * (moved @ self.reference_matrix)
+            controls[:, t + 1, reference_columns] -= reference_gain[:, t + 1, None] * (
+                moved @ self.reference_matrix
+            )
             contacts[:, t + 1] = torch.where(chosen, torch.sigmoid(made.contact_logits), contacts[:, t + 1])
-            own = now
+            rolled = now
         return inputs, contacts, controls, mask
 
     def _keep_rotation(self, frame: Tensor) -> Tensor:
@@ -143,17 +139,6 @@ def _frame_step(
         return made
 
     return step
-
-
-def join_batches(batches: list[Batch]) -> Batch:
-    """Return one batch of all windows, in order."""
-    names = vars(batches[0])
-    return Batch(**{name: torch.cat([getattr(b, name) for b in batches]) for name in names})
-
-
-def take_windows(batch: Batch, indices: list[int] | slice) -> Batch:
-    """Return some windows of a batch."""
-    return Batch(**{name: value[indices] for name, value in vars(batch).items()})
 
 
 def sampled_windows(first: int, count: int, share: float) -> list[int]:

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array, distances_between
-from motionkit.control.opening import Shown, last_poses
+from motionkit.control.character_start import StartState, last_poses
 from motionkit.control.plan import plan_types
 from motionkit.control.planned_controls import CrowdController
 from motionkit.control.script import TypePart
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
+from motionkit.features.control import Controls
 from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FEATURE_COUNT, FeatureLayout
 from motionkit.files import safe_name
@@ -39,7 +40,6 @@ class TypeScore:
     """Scores of the roll-out of one type.
 
     Attributes:
-        type: the name of the type.
         joint_speed: mean angular speed of the joints divided by the recorded one (0: frozen, 1: as recorded).
         pose_distance: mean distance per joint in cm to the nearest pose of the type's training clips.
         slide: horizontal speed of low toes divided by the recorded one.
@@ -64,19 +64,15 @@ def score_rollouts(
     frames: int,
     samples: Path | None = None,
     on_fault: Callable[[str], None] | None = None,
-    seed: int = 0,
-    noise: Noise | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[TypeScore, ...]:
     """Return the scores of one roll-out of every type.
 
     Args:
-        frames: length of the roll-outs.
         samples: folder for one predicted and one recorded BVH file per type; None writes none.
         on_fault: called with a line if a sample cannot be written; without it the error is raised.
-        progress: called with the finished share, 0 to 1.
     """
-    rollout = rollout_types(model, frames, seed, noise)
+    rollout = rollout_types(model, frames)
     scores = []
     for i, kind in enumerate(model.types):
         real = _real_frames(dataset, i)
@@ -94,21 +90,35 @@ def score_rollouts(
     return tuple(scores)
 
 
-def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise | None = None) -> Rollout:
+def rollout_types(model: MotionModel, frames: int, seed: int = 0) -> Rollout:
     """Roll out all types side by side, each from its first start poses."""
-    count = len(model.types)
-    state = RolloutState(model, count, noise or Noise(), seed)
-    weights = np.eye(count, dtype=np.float32)
     body = model.moved_skeleton("default")
-    starts = [on_body(model, type_start(model, name), body) for name in model.types]
-    features, contacts = start_batch([StartPose(s.features[0], s.contacts[0], s.ground) for s in starts])
-    state.start(features, contacts, weights)
+    on_bodies = [on_body(model, type_start(model, name), body) for name in model.types]
+    starts = [StartPose(each.features[0], each.contacts[0], each.ground) for each in on_bodies]
+    return roll_out(model, tuple(model.types), starts, frames / model.fps, seed)[0]
+
+
+def roll_out(
+    model: MotionModel, names: tuple[str, ...], starts: list[StartPose], seconds: float, seed: int
+) -> tuple[Rollout, Array]:
+    """Roll out one character for each type name and start pose; returns also the phases (N, T) asked for."""
+    state = RolloutState(model, len(names), Noise(), seed)
+    features, contacts = start_batch(starts)
+    state.start(features, contacts, np.stack([model.type_weights(name) for name in names]))
     behind = features.shape[1]
     plans = [
-        plan_types(model, [TypePart(kind, frames / model.fps)], Shown(last_poses(model, seen), behind))
-        for kind, seen in zip(model.types, features, strict=True)
+        plan_types(model, [TypePart(name, seconds)], StartState(last_poses(model, seen), behind))
+        for name, seen in zip(names, features, strict=True)
     ]
-    return run(state, frames, CrowdController(model, plans, seed))
+    controller, phases = CrowdController(model, plans, seed), list[Array]()
+
+    def controls(frame: int, ground: Array) -> Controls:
+        signals = controller(frame, ground)
+        phases.append(signals.phase)
+        return signals
+
+    made = run(state, round(seconds * model.fps), controls)
+    return made, np.stack(phases, 1).astype(np.float32)
 
 
 def _real_frames(dataset: Dataset, kind: int) -> Array:

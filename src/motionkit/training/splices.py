@@ -61,8 +61,6 @@ def make_splices(
     Args:
         spans: stretches of the dataset's training clips by type id.
         chances: (N,) probability of each type to be drawn.
-        count: number of draws.
-        progress: called with the finished share, 0 to 1.
     """
     generator = torch.Generator().manual_seed(seed + 7_919)
     usable = {k: [s for s in v if len(s) >= MIN_SPAN] for k, v in spans.items()}

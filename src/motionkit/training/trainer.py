@@ -14,10 +14,10 @@ import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError, ModelError, MotionkitError
-from motionkit.locks import held
+from motionkit.locks import locked
 from motionkit.models.file_check import check_names
 from motionkit.models.network import parameter_count
-from motionkit.training.beginning import begin
+from motionkit.training.initial_network import begin
 from motionkit.training.learner import Learner
 from motionkit.training.options import TrainOptions
 from motionkit.training.outcome import Outcome
@@ -98,15 +98,15 @@ class TrainingRun:
             raise DatasetError(f"{dataset.folder}: {error}") from None
         torch.manual_seed(options.seed)
         self.checkpoint = Checkpoint(folder, dataset, options)  # before the dataset gets more clips
-        self.beginning = begin(dataset, options)
-        network, kept = self.beginning.network, tuple(self.beginning.kept)
+        self.initial = begin(dataset, options)
+        network, kept = self.initial.network, tuple(self.initial.kept)
         self.learner = Learner(network, dataset, options, self.processes)
         self.progress = Progress(options)
         self.report = RunReport(folder, self.progress, on_event, self.processes.first)
-        self.outcome = Outcome(output, dataset, self.beginning, self.learner, self.report)
-        self.sampler = WindowSampler(dataset, options.sampler, options.seed, kept, self.beginning.layout.kind)
+        self.outcome = Outcome(output, dataset, self.initial, self.learner, self.report)
+        self.sampler = WindowSampler(dataset, options.sampler, options.seed, kept, self.initial.layout.kind)
         self.blocks = WindowBlocks(self.sampler, network, options, places)
-        self.asked_to_stop = self.stops = False
+        self.stop_requested = self.stops = False
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -114,7 +114,7 @@ class TrainingRun:
         if not self.processes.first:
             yield
             return
-        with held(self.report.folder, "training here") as notes:
+        with locked(self.report.folder, "training here") as notes:
             for line in notes:
                 self.report.note(line)
             yield
@@ -161,10 +161,8 @@ class TrainingRun:
             report.clear()
         parameters = parameter_count(self.learner.network) / 1e6
         report.note(f"{parameters:.2f} M parameters on {self.processes.device}")
-        if self.beginning.repeated:
-            report.note(
-                f"recordings of {', '.join(self.beginning.repeated)} repeated: they are few and short"
-            )
+        if self.initial.repeated:
+            report.note(f"recordings of {', '.join(self.initial.repeated)} repeated: they are few and short")
         self.sampler.make_splices(report.stage("making spliced transitions"))
         report.note(f"{len(self.sampler.splices)} spliced transitions")
         self.blocks.resume(at.step)
@@ -180,11 +178,11 @@ class TrainingRun:
 
         def stop(number: int, frame: Any) -> None:
             nonlocal heard
-            if self.asked_to_stop:
+            if self.stop_requested:
                 if time.monotonic() - heard > TWICE:
                     raise KeyboardInterrupt
                 return
-            self.asked_to_stop, heard = True, time.monotonic()
+            self.stop_requested, heard = True, time.monotonic()
             self.report.emit("stop", "stopping after this step")
 
         try:
@@ -210,7 +208,7 @@ class TrainingRun:
             if self.processes.first and now - scored > 60.0 * options.score_minutes:
                 self.outcome.score()
                 scored = time.monotonic()
-            if self.stops or (self.processes.world == 1 and self.asked_to_stop):
+            if self.stops or (self.processes.world == 1 and self.stop_requested):
                 return
 
     def _train_step(self) -> None:
@@ -226,7 +224,8 @@ class TrainingRun:
         # A GPU computes the next steps meanwhile: its numbers are only waited for where they are logged.
         waits = processes.device.type == "cpu" or processes.world > 1
         if waits or at.step % at.options.output.log_every == 0 or at.share >= 1.0:
-            stop = terms["gradient"].new_tensor(float(self.asked_to_stop))  # shared, to stop at the same step
+            # Shared, so that all processes stop at the same step.
+            stop = terms["gradient"].new_tensor(float(self.stop_requested))
             *means, stops = processes.mean(torch.stack([*terms.values(), stop]))
             self.stops = stops > 0
             at.losses = dict(zip(terms, means, strict=True))

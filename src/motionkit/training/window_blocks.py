@@ -16,12 +16,7 @@ from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.predictor import Predictor
 from motionkit.training.options import TrainOptions
 from motionkit.training.sampler import WindowSampler, window_generator
-from motionkit.training.scheduled_sampling import (
-    PredictedInputs,
-    join_batches,
-    sampled_windows,
-    take_windows,
-)
+from motionkit.training.scheduled_sampling import PredictedInputs, sampled_windows
 from motionkit.training.window_loader import StepLoader
 
 
@@ -109,13 +104,12 @@ class WindowBlocks:
         generators = [
             window_generator(options.seed, step, places[i], 1, device) for step in steps for i in fed
         ]
-        joined = join_batches([take_windows(batch, fed) for batch in batches])
-        joined = self.predicted(joined, options.scheduled_sampling, generators)
+        joined = self.predicted(
+            Batch.joined([batch[fed] for batch in batches]), options.scheduled_sampling, generators
+        )
         others = [i for i in range(len(places)) if i not in fed]
         return [
-            join_batches(
-                [take_windows(joined, slice(k * len(fed), (k + 1) * len(fed))), take_windows(batch, others)]
-            )
+            Batch.joined([joined[k * len(fed) : (k + 1) * len(fed)], batch[others]])
             for k, batch in enumerate(batches)
         ]
 

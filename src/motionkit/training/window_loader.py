@@ -25,12 +25,7 @@ class StepLoader:
     """
 
     def __init__(self, make: Callable[[int], Batch], ahead: bool = True) -> None:
-        """Make no batch yet.
-
-        Args:
-            make: returns the batch of a step.
-            ahead: whether to use processes.
-        """
+        """Make no batch yet, but know the function that makes that of a step, and whether to use processes."""
         self.make, self.ahead = make, ahead and "fork" in multiprocessing.get_all_start_methods()
         self._step = -1
         self._coming: Iterator[dict[str, Tensor]] = iter(())

@@ -65,11 +65,7 @@ class SamplerOptions:
 
 
 class WindowMaker:
-    """Makes training windows from clips of a dataset.
-
-    Args:
-        controls: the columns of the control vectors.
-    """
+    """Makes training windows from clips of a dataset, with control vectors of a layout."""
 
     def __init__(self, dataset: Dataset, controls: ControlLayout) -> None:
         self.dataset, self.controls = dataset, controls
@@ -77,28 +73,33 @@ class WindowMaker:
         self.skeletons = [skeleton_signal(canonical_skeleton(body)) for body in dataset.bodies]
 
     def make(
-        self, data: ClipData, body: int, options: SamplerOptions, shown: float, generator: torch.Generator
+        self,
+        data: ClipData,
+        body: int,
+        options: SamplerOptions,
+        trajectory_draw: float,
+        generator: torch.Generator,
     ) -> dict[str, Array]:
         """One window: the fields of a Batch without its first dimension.
 
         Args:
             data: frames of the window and those that its controls look ahead to; fewer where the clip ends.
             body: an index into the dataset's bodies.
-            shown: a random number in [0, 1); the window has a trajectory if it reaches trajectory_dropout.
+            trajectory_draw: a random number in [0, 1); the window has a trajectory if it reaches trajectory_dropout.
             generator: for everything else that is random.
         """
         T, settings = options.window, options.controls
         frames = min(T, len(data.types) - 1)
         x = self.dataset.scaling.normalize(data.features[: frames + 1])
         trajectory = future_trajectory(data.ground, np.arange(frames + 1))
-        all_weights = blend_types(_asked_early(data.types, settings, generator), len(self.dataset.types))
+        all_weights = blend_types(_early_types(data.types, settings, generator), len(self.dataset.types))
         reference_gain = _with_reference(data.types[:frames], settings, generator)
         noise = torch.randn(frames, FEATURE_COUNT, generator=generator).numpy()
         inputs = x[:frames] + noise * options.noise
-        asked = Controls(
+        signals = Controls(
             all_weights[:frames],
             drifted(trajectory[:frames], data.ground[: frames + 1], settings.trajectory_drift, generator),
-            np.full(frames, float(shown >= settings.trajectory_dropout), np.float32),
+            np.full(frames, float(trajectory_draw >= settings.trajectory_dropout), np.float32),
             data.phases[:frames],
             data.reference[:frames],
             reference_gain,
@@ -107,7 +108,7 @@ class WindowMaker:
         )
         scaling, body_signal = self.dataset.trajectory_scaling, self.skeletons[body]
         controls = control_vector(
-            self.controls, body_signal, asked, inputs, scaling, self.references, alone=False
+            self.controls, body_signal, signals, inputs, scaling, self.references, alone=False
         )
         window = {
             "inputs": inputs,
@@ -124,20 +125,18 @@ class WindowMaker:
         return padded
 
 
-def _asked_early(types: Array, options: ControlSampling, generator: torch.Generator) -> Array:
+def _early_types(types: Array, options: ControlSampling, generator: torch.Generator) -> Array:
     """Types (T,) of a window. In a share of windows they come some frames early, so types change before the motion."""
     if torch.rand((), generator=generator) >= options.lead_share:
         return types
-    lead = int(torch.randint(options.lead_frames + 1, (), generator=generator))
-    return np.pad(types[lead:], (0, lead), mode="edge") if lead < len(types) else types
+    early = int(torch.randint(options.lead_frames + 1, (), generator=generator))
+    return np.pad(types[early:], (0, early), mode="edge") if early < len(types) else types
 
 
 def drifted(trajectory: Array, ground: Array, drift: float, generator: torch.Generator) -> Array:
-    """Trajectories (T, 24) of a window; a straight window's are scaled by a random factor.
+    """Trajectories (T, 24) of a window; those that go straight over ground (T + 1, 3) are scaled by a random factor.
 
-    Args:
-        ground: (T + 1, 3) root x, z (cm) and heading (radians).
-        drift: standard deviation of the factor around 1.
+    drift is the standard deviation of the factor around 1.
     """
     if drift == 0.0:
         return trajectory

@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motionkit.arrays import lower_median
+from motionkit.arrays import lower_median, smoothstep
 from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_rotate, quat_to_matrix
+from motionkit.motion.rotations import quat_between, quat_rotate, quat_to_matrix
+from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.names import RigMap, map_rig, name_part
 from motionkit.view.asset import BODIES, Asset, load_asset
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
@@ -47,14 +48,12 @@ class BodyPose:
         places: (J, 3) global positions, m.
         ends: joint index -> end (3,) of its bone.
         parents: J parent indices.
-        bones: joints whose bone to their parent belongs to the body.
     """
 
     rotations: Array
     places: Array
     ends: dict[int, Array]
     parents: tuple[int, ...]
-    bones: frozenset[int]
 
     def matrices_from(self, rotations: Array, places: Array) -> Array:
         """Affine matrices (J, 3, 4) from this pose to another one, given by its rotations and positions."""
@@ -102,18 +101,16 @@ def make_body(
         SkeletonError: all bones of a human rig have length zero.
     """
     check_bones(motion)
-    bones = (figure or motion_figure(motion)).bones
-    drawn = frozenset(joint for _, joint in bones if joint < len(motion.skeleton))
-    rest = _rest(motion, drawn)
+    rest = _rest(motion)
     try:
         rig = map_rig(motion.skeleton)
         poses = [rest]
         if _stoop(rest, rig) > 0.5:  # the rest pose is not a standing human
-            poses = [_frame(motion, t, drawn) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
+            poses = [_frame(motion, t) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
         pose = min(poses, key=lambda p: _stoop(p, rig))
-        made, pose = _Fitting(load_asset(body), motion.skeleton.names, rig, pose).surface()
+        made, pose = _Fitting(load_asset(body), motion.skeleton, rig, pose).surface()
     except SkeletonError:  # no human, or one with the proportions of none
-        made, pose = _bony(motion, rest)
+        made, pose = _bony(motion, rest, (figure or motion_figure(motion)).bones), rest
     lift = np.array([0.0, -made.points[:, 1].min(), 0.0])  # on the floor
     return replace(made, points=made.points + lift), pose.lifted(lift)
 
@@ -130,29 +127,24 @@ def check_bones(motion: Motion) -> None:
     raise SkeletonError("all bones have length zero")
 
 
-def _rest(motion: Motion, bones: frozenset[int]) -> BodyPose:
+def _rest(motion: Motion) -> BodyPose:
     skeleton = motion.skeleton
-    places = skeleton.rest_positions()
     if motion.local_positions is not None:
-        usual = lower_median(motion.local_positions)
-        places = np.zeros_like(usual)
-        for joint, parent in enumerate(skeleton.parents):
-            if joint:
-                places[joint] = places[parent] + usual[joint]
-    at = places.astype(np.float64)
+        skeleton = replace(skeleton, offsets=lower_median(motion.local_positions))
+    at = skeleton.rest_positions().astype(np.float64)
     ends = {j: at[j] + np.array(end) for j, end in skeleton.end_sites.items()}
     rotations = np.broadcast_to(np.eye(3), (len(skeleton), 3, 3)).copy()
-    return BodyPose(rotations, at, ends, skeleton.parents, bones)
+    return BodyPose(rotations, at, ends, skeleton.parents)
 
 
-def _frame(motion: Motion, frame: int, bones: frozenset[int]) -> BodyPose:
+def _frame(motion: Motion, frame: int) -> BodyPose:
     rotations, places = motion_kinematics(motion.cut(frame, frame + 1))
     ends = {
         j: (places[0, j] + quat_rotate(rotations[0, j], np.array(end, np.float32))).astype(np.float64)
         for j, end in motion.skeleton.end_sites.items()
     }
     turns = quat_to_matrix(rotations[0]).astype(np.float64)
-    return BodyPose(turns, places[0].astype(np.float64), ends, motion.skeleton.parents, bones)
+    return BodyPose(turns, places[0].astype(np.float64), ends, motion.skeleton.parents)
 
 
 def _stoop(pose: BodyPose, rig: RigMap) -> float:
@@ -168,19 +160,11 @@ def _stoop(pose: BodyPose, rig: RigMap) -> float:
 
 def _between(start: Array, end: Array) -> Array:
     """The smallest rotation (3, 3) from one unit vector (3,) to another."""
-    axis = np.cross(start, end)
-    cosine = float(start @ end)
-    if cosine < -0.999:  # a half turn about any perpendicular axis
-        across = unit(np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))]), start)
-        return 2.0 * np.outer(across, across) - np.eye(3)
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    turn: Array = np.eye(3) + cross + cross @ cross / (1.0 + cosine)
-    return turn
+    return quat_to_matrix(quat_between(start, end))
 
 
 def _smooth(shares: Array) -> Array:
-    t = np.clip(shares, 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
+    return smoothstep(np.clip(shares, 0.0, 1.0))
 
 
 class _Trunk:
@@ -211,19 +195,19 @@ class _Trunk:
 class _Fitting:
     """Fits a body to the joints of a human rig."""
 
-    def __init__(self, asset: Asset, names: tuple[str, ...], rig: RigMap, pose: BodyPose) -> None:
-        self.asset, self.pose = asset, pose.copy()
+    def __init__(self, asset: Asset, skeleton: Skeleton, rig: RigMap, pose: BodyPose) -> None:
+        self.asset, self.skeleton, self.pose = asset, skeleton, pose.copy()
         self.joints = dict(rig.places)
         for side in SIDES:
-            self.joints |= self._fingers(side, names)
-        self.own = _Trunk(asset.places)
+            self.joints |= self._fingers(side)
+        self.asset_trunk = _Trunk(asset.places)
         self.trunk = _Trunk({name: self.at(name) for name in asset.places if self._known(name)})
         if self.trunk.leg == 0.0 or self.trunk.height < 0.1 * self.trunk.leg:
             raise SkeletonError("legs or a trunk without length")
-        self.size = self.trunk.leg / self.own.leg
-        self.turn = self.trunk.axes.T @ self.own.axes  # from the asset's axes to the rig's
+        self.size = self.trunk.leg / self.asset_trunk.leg
+        self.turn = self.trunk.axes.T @ self.asset_trunk.axes  # from the asset's axes to the rig's
         self.soles = {f"{side}Foot": self._sole(f"{side}Foot") for side in SIDES}
-        arms = [self._path(0, self.joints[f"{side}Arm"]) for side in SIDES]
+        arms = [skeleton.path(self.joints[f"{side}Arm"]) for side in SIDES]
         chest = [joint for joint in arms[0] if joint in arms[1]]
         hips = rig.places["Hips"]
         self.spine = [hips, *(chest[chest.index(hips) + 1 :] if hips in chest else chest[1:])]
@@ -253,26 +237,17 @@ class _Fitting:
     def _known(self, name: str | None) -> bool:
         return name is not None and (name in self.joints or name.endswith(("Foot", "Hand")))
 
-    def _path(self, above: int, joint: int) -> list[int]:
-        """The joints from an ancestor `above` down to a joint, both included."""
-        out = [joint]
-        while out[-1] != above and self.pose.parents[out[-1]] >= 0:
-            out.append(self.pose.parents[out[-1]])
-        return out[::-1]
-
-    def _fingers(self, side: str, names: tuple[str, ...]) -> dict[str, int]:
+    def _fingers(self, side: str) -> dict[str, int]:
         """The joints of a hand's fingers by their names, numbered from the palm."""
         found: dict[str, int] = {}
-        hand = self.joints.get(f"{side}Hand")
-        below = (
-            [] if hand is None else [j for j in range(hand + 1, len(names)) if hand in self._path(hand, j)]
-        )
+        names, hand = self.skeleton.names, self.joints.get(f"{side}Hand", len(self.skeleton))
+        below = [j for j in range(hand + 1, len(names)) if self.skeleton.descends(j, hand)]
         for finger, words in _FINGERS.items():
-            own = [j for j in below if re.search(words, names[j], re.IGNORECASE)]
-            own = [j for j in own if not re.search(_NO_FINGER, names[j], re.IGNORECASE)]
+            matching = [j for j in below if re.search(words, names[j], re.IGNORECASE)]
+            matching = [j for j in matching if not re.search(_NO_FINGER, names[j], re.IGNORECASE)]
             if finger != "Thumb":
-                own = [j for j in own if "metacarpal" not in names[j].lower()]
-            found |= {f"{side}Hand{finger}{n}": joint for n, joint in enumerate(own[:3], start=1)}
+                matching = [j for j in matching if "metacarpal" not in names[j].lower()]
+            found |= {f"{side}Hand{finger}{n}": joint for n, joint in enumerate(matching[:3], start=1)}
         return found
 
     def _end(self, name: str) -> str | None:
@@ -323,13 +298,13 @@ class _Fitting:
         return [f"{hand}{finger}1" for finger in _FINGERS if f"{hand}{finger}1" in self.joints]
 
     def _palm(self, hand: str, knuckles: list[str]) -> Array:
-        own: Array = np.mean([self.asset.places[knuckle] for knuckle in knuckles], axis=0)
-        return own - self.asset.places[hand]
+        middle: Array = np.mean([self.asset.places[knuckle] for knuckle in knuckles], axis=0)
+        return middle - self.asset.places[hand]
 
     def _shoe(self, trunk: _Trunk, foot: str) -> Array:
         """The axes of a flat foot, in rows left, up and ahead, in the axes of the asset or of the rig."""
-        way = self.asset.places[foot.replace("Foot", "ToeBase")] - self.asset.places[foot]
-        ahead = unit(way * [1.0, 0.0, 1.0], np.array([0.0, 0.0, 1.0]))
+        direction = self.asset.places[foot.replace("Foot", "ToeBase")] - self.asset.places[foot]
+        ahead = unit(direction * [1.0, 0.0, 1.0], np.array([0.0, 0.0, 1.0]))
         up = np.array([0.0, 1.0, 0.0])
         axes: Array = np.stack([np.cross(up, ahead), up, ahead]) @ trunk.axes
         return axes
@@ -337,13 +312,14 @@ class _Fitting:
     def _sole(self, foot: str) -> tuple[float, float]:
         """Height of the ankle of a standing foot, and its drop to the ball: as in a rest pose that stands flat."""
         leg, toe = self.trunk.leg, foot.replace("Foot", "ToeBase")
-        ankle = self.size * float(self.asset.places[foot][1])
+        usual = load_asset()  # of all bodies: motions are finished for the soles of the first
+        ankle = leg * float(usual.places[foot][1]) / _Trunk(usual.places).leg
         if foot in self.joints and toe in self.joints:
             drop = float((self.at(foot) - self.at(toe)) @ self.trunk.axes[1])
             if FLAT[0] < drop / leg < FLAT[1]:
                 drop = max(drop, DROP * leg)
                 return max(ankle, drop + BALL * leg), drop
-        return ankle, ankle - self.size * float(self.asset.places[toe][1])
+        return ankle, ankle * (1.0 - float(usual.places[toe][1] / usual.places[foot][1]))
 
     def _placed(self, name: str, points: Array) -> Array:
         """Points (N, 3) of a joint's part of the asset, around the rig."""
@@ -357,30 +333,30 @@ class _Fitting:
         owner = self._owner(name)
         if owner.endswith("ForeArm") and part != "ForeArm":  # a hand that the rig lacks
             owner = owner.replace("ForeArm", "Hand")
-        own, end, along = self.asset.places[owner], self._end(owner), self.size
-        way = np.zeros(3)
+        origin, end, along = self.asset.places[owner], self._end(owner), self.size
+        direction = np.zeros(3)
         if end is not None:
-            way = self.asset.places[end] - own
-            along = float(np.linalg.norm(self.at(end) - self.at(owner)) / np.linalg.norm(way))
+            direction = self.asset.places[end] - origin
+            along = float(np.linalg.norm(self.at(end) - self.at(owner)) / np.linalg.norm(direction))
         elif owner.endswith("Hand") and len(knuckles := self._knuckles(owner)) > 2:
-            way = self._palm(owner, knuckles)
+            direction = self._palm(owner, knuckles)
             middle = np.mean([self.at(knuckle) for knuckle in knuckles], axis=0)
-            along = float(np.linalg.norm(middle - self.at(owner)) / np.linalg.norm(way))
+            along = float(np.linalg.norm(middle - self.at(owner)) / np.linalg.norm(direction))
         if along > LONGEST * self.size:
             raise SkeletonError(f"{owner} is too long for a body")
-        way = unit(way, way)
+        direction = unit(direction, direction)
         girth = float(np.cbrt(self.size**2 * max(along, 0.3 * self.size)))
-        scale = girth * np.eye(3) + (along - girth) * np.outer(way, way)
-        placed: Array = self.at(owner) + (points - own) @ (self.turn @ scale).T
+        scale = girth * np.eye(3) + (along - girth) * np.outer(direction, direction)
+        placed: Array = self.at(owner) + (points - origin) @ (self.turn @ scale).T
         return placed
 
     def _on_trunk(self, points: Array) -> Array:
         """As high as the rig's trunk, as wide as its hips and shoulders where they are plausible."""
-        tall = self.trunk.height / self.own.height
-        inside = self.own.inside(points)
+        tall = self.trunk.height / self.asset_trunk.height
+        inside = self.asset_trunk.inside(points)
         low, high = (
-            np.clip(mine / own, 0.8 * tall, 1.3 * tall)
-            for mine, own in zip(self.trunk.widths, self.own.widths, strict=True)
+            np.clip(mine / theirs, 0.8 * tall, 1.3 * tall)
+            for mine, theirs in zip(self.trunk.widths, self.asset_trunk.widths, strict=True)
         )
         upper = np.clip((inside[:, 1] - 0.1) / 0.7, 0.0, 1.0)
         deep = float(np.sqrt(tall * self.size))
@@ -390,28 +366,28 @@ class _Fitting:
 
     def _on_neck(self, points: Array) -> Array:
         """The head with its middle over the rig's joint, and the neck between it and the trunk."""
-        up, own = self.trunk.axes[1], self.asset.places["Head"]
-        tall = float(np.sqrt(self.size * self.trunk.height / self.own.height))
+        up, head = self.trunk.axes[1], self.asset.places["Head"]
+        tall = float(np.sqrt(self.size * self.trunk.height / self.asset_trunk.height))
         # Joints of this name lie anywhere from the top of the neck to the middle of the head.
-        lift = np.clip((self._on_trunk(own[None])[0] - self.at("Head")) @ up, -0.03 * tall, 0.06 * tall)
-        placed: Array = self.at("Head") + lift * up + tall * (points - own) @ self.turn.T
+        lift = np.clip((self._on_trunk(head[None])[0] - self.at("Head")) @ up, -0.03 * tall, 0.06 * tall)
+        placed: Array = self.at("Head") + lift * up + tall * (points - head) @ self.turn.T
         neck = self.asset.places["Neck"]
-        shares = _smooth((points - neck) @ (own - neck) / ((own - neck) @ (own - neck)))[:, None]
+        shares = _smooth((points - neck) @ (head - neck) / ((head - neck) @ (head - neck)))[:, None]
         return shares * placed + (1.0 - shares) * self._on_trunk(points)
 
     def _in_shoe(self, foot: str, points: Array) -> Array:
         """A foot on the ground under the ankle, as long as the rig's up to the ball."""
-        toe, own, axes = (
+        toe, ankle, axes = (
             foot.replace("Foot", "ToeBase"),
             self.asset.places[foot],
             self._shoe(self.trunk, foot),
         )
-        tall, long = self.soles[foot][0] / own[1], self.size
+        tall, long = self.soles[foot][0] / ankle[1], self.size
         if toe in self.joints:
-            length = np.linalg.norm((self.asset.places[toe] - own)[[0, 2]])
+            length = np.linalg.norm((self.asset.places[toe] - ankle)[[0, 2]])
             ratio = (self.at(toe) - self.at(foot)) @ axes[2] / length
             long = float(np.clip(ratio, 0.75 * self.size, 1.35 * self.size))
-        inside = (points - own) @ self._shoe(self.own, foot).T
+        inside = (points - ankle) @ self._shoe(self.asset_trunk, foot).T
         placed: Array = self.at(foot) + (inside * [self.size, tall, long]) @ axes
         return placed
 
@@ -435,11 +411,12 @@ class _Fitting:
             if end not in self.joints or owner in _SPINE:
                 out[:, joint] += weight
                 continue
-            way = self.at(end) - self.at(owner)
-            between = self._path(joint, self.joints[end])[1:-1]
-            far = float(way @ way) or 1.0
-            chain = [(float((self.pose.places[j] - self.at(owner)) @ way) / far, 0.1, j) for j in between]
-            _add_chain(out, weight, (points - self.at(owner)) @ way / far, joint, chain)
+            bone = self.at(end) - self.at(owner)
+            between = self.skeleton.path(self.joints[end])[:-1]
+            between = [j for j in between if j != joint and self.skeleton.descends(j, joint)]
+            far = float(bone @ bone) or 1.0
+            chain = [(float((self.pose.places[j] - self.at(owner)) @ bone) / far, 0.1, j) for j in between]
+            _add_chain(out, weight, (points - self.at(owner)) @ bone / far, joint, chain)
         return out
 
 
@@ -462,7 +439,7 @@ def _strongest(weights: Array) -> tuple[np.ndarray, Array]:
     return np.pad(order, missing), np.pad(found / found.sum(axis=1, keepdims=True), missing)
 
 
-def _bony(motion: Motion, pose: BodyPose) -> tuple[Surface, BodyPose]:
+def _bony(motion: Motion, pose: BodyPose, pairs: Sequence[tuple[int, int]]) -> Surface:
     """Tapered bones for a rig that is not human, thicker near the trunk, with a head if a joint is named so."""
     names, count = motion.skeleton.names, len(pose.places)
     below = np.ones(count)
@@ -470,7 +447,7 @@ def _bony(motion: Motion, pose: BodyPose) -> tuple[Surface, BodyPose]:
         below[pose.parents[joint]] += below[joint]
     size = float(np.linalg.norm(np.ptp(pose.places, axis=0))) or 1.0
     radius = size * (0.008 + 0.03 * np.sqrt(below / count))
-    bones = [(pose.parents[j], pose.places[j], radius[j]) for j in sorted(pose.bones) if pose.parents[j] >= 0]
+    bones = [(parent, pose.places[joint], radius[joint]) for parent, joint in pairs if joint < count]
     bones += [(j, end, 0.7 * radius[j]) for j, end in pose.ends.items()]
     rods = []
     for joint, end, thick in bones:
@@ -484,7 +461,7 @@ def _bony(motion: Motion, pose: BodyPose) -> tuple[Surface, BodyPose]:
             along = np.array([0.0, 0.3 * ball, 0.0])
             middle = (pose.ends.get(joint, pose.places[joint]) + pose.places[joint]) / 2
             rods.append((middle - along, middle + along, ball, ball, joint, "Skin"))
-    return _rods(rods), pose
+    return _rods(rods)
 
 
 def _rods(rods: list[tuple[Array, Array, float, float, int, str]]) -> Surface:

@@ -33,18 +33,14 @@ def page_bytes(file: GltfFile) -> bytes:
     return read_bytes(file.path, MAX_BYTES, "a character for a page")
 
 
-def own_joints(character: Character, moving: Iterable[int], scale: float, up: Array) -> dict[str, Any]:
-    """The data for a motion on the character's own joints.
+def character_joints(character: Character, moving: Iterable[int], scale: float, up: Array) -> dict[str, Any]:
+    """The data for a motion on the character's own joints, of which the places of `moving` change.
 
-    Args:
-        character: the character.
-        moving: the joints whose places change.
-        scale: metres on the page per unit of the file.
-        up: (3,) up axis of the file.
+    scale is metres on the page per unit of the file, up (3,) the up axis of the file.
     """
     nodes, turns = character.nodes, character.turns
     return {
-        **_stand(scale, up),
+        **_placement(scale, up),
         "drives": [[node, joint, *_numbers(turns[joint])] for joint, node in enumerate(nodes)],
         "moves": [[nodes[joint], nodes[joint], joint] for joint in moving],
     }
@@ -53,20 +49,18 @@ def own_joints(character: Character, moving: Iterable[int], scale: float, up: Ar
 def rig_joints(rig: Rig, raised: Array, lift: Array) -> dict[str, Any]:
     """The data for live motion of the canonical joints on a rig that has a character.
 
-    Args:
-        rig: the rig.
-        raised: (3,) from the hips of the live body to those of the rig, in its own axes and in cm.
-        lift: (3,) likewise, in the world's axes.
+    raised and lift (3,) lead from the hips of the live body to those of the rig, in cm, in its own axes and in those of
+    the world.
     """
     character, moved = rig.character, mover(rig.skeleton, rig.channels, rig.joints)
     assert character is not None and moved is not None  # make_rig has checked it
     nodes, turns, back = character.nodes, character.turns, quat_inverse(rig.differences).astype(np.float64)
 
-    def axis(joint: int, way: Array) -> list[float]:
-        return _numbers(quat_rotate(quat_inverse(character.axes[joint]), way))
+    def axis(joint: int, direction: Array) -> list[float]:
+        return _numbers(quat_rotate(quat_inverse(character.axes[joint]), direction))
 
     return {
-        **_stand(rig.scale / 100.0, rig.up),
+        **_placement(rig.scale / 100.0, rig.up),
         "drives": [
             [nodes[joint], carrier, *_numbers(quat_multiply(back[carrier], turns[joint]))]
             for joint, carrier in sorted(turning_joints(rig).items())
@@ -78,7 +72,7 @@ def rig_joints(rig: Rig, raised: Array, lift: Array) -> dict[str, Any]:
             {
                 "node": nodes[one.source],
                 "axis": axis(one.source, one.axis),
-                "taken": one.taken,
+                "taken": one.from_source,
                 "shares": [[nodes[j], share, *axis(j, one.axis)] for j, share in one.shares.items()],
             }
             for one in twists(rig)
@@ -86,7 +80,7 @@ def rig_joints(rig: Rig, raised: Array, lift: Array) -> dict[str, Any]:
     }
 
 
-def _stand(scale: float, up: Array) -> dict[str, Any]:
+def _placement(scale: float, up: Array) -> dict[str, Any]:
     zero = [0.0, 0.0, 0.0]
     return {"scale": scale, "turn": _numbers(up_turn(up)), "raised": zero, "lift": zero, "twists": []}
 

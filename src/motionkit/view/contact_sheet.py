@@ -122,14 +122,14 @@ def pose_frames(frames: int, poses: int = 12, every: int | None = None) -> list[
     if (every is not None and every < 1) or poses < 1:
         raise MotionkitError("a contact sheet needs poses and every of at least 1")
     if every is not None:
-        shown = list(range(0, frames, every))
+        chosen = list(range(0, frames, every))
     else:
-        shown = sorted({int(f) for f in np.linspace(0, frames - 1, min(poses, frames)).round()})
-    if len(shown) > MAX_POSES:
+        chosen = sorted({int(f) for f in np.linspace(0, frames - 1, min(poses, frames)).round()})
+    if len(chosen) > MAX_POSES:
         raise MotionkitError(
-            f"{len(shown)} poses of one clip do not fit on a sheet, expected at most {MAX_POSES}"
+            f"{len(chosen)} poses of one clip do not fit on a sheet, expected at most {MAX_POSES}"
         )
-    return shown
+    return chosen
 
 
 def contact_sheet(
@@ -154,11 +154,11 @@ def contact_sheet(
     if width < 600:
         raise MotionkitError(f"a contact sheet {width} pixels wide is unreadable, expected at least 600")
     load_pillow()
-    shown = [pose_frames(len(motion), poses, every) for _, motion in motions]
-    heights = [_block_height(len(frames)) for frames in shown]
+    chosen = [pose_frames(len(motion), poses, every) for _, motion in motions]
+    heights = [_block_height(len(frames)) for frames in chosen]
     canvas = _Canvas(width, sum(heights) + MARGIN)
     top = float(MARGIN)
-    for (title, motion), frames, height in zip(motions, shown, heights, strict=True):
+    for (title, motion), frames, height in zip(motions, chosen, heights, strict=True):
         box = _Box(MARGIN, top, width - 2 * MARGIN, height)
         _draw_block(canvas, title, motion_figure(motion), sliding_words(motion), frames, box)
         top += height

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 # second: 4 cm and 0.5 m/s for a person of 1.75 m.
 LOW_SHARE = 0.025
 SLIDE_SHARE = 0.28
+FOOT_SHARE = 0.06  # of the stature; toes alone are shorter than this, feet longer
+BALL = 0.65  # from the ankle to the end of a foot
 # Share of the stature. A joint whose distance to its parent varies by more has no bone, such as hips below a root that
 # stays on the floor.
 LOOSE_SHARE = 0.2
@@ -31,12 +33,12 @@ class Figure:
     """A motion as world points and bones.
 
     Attributes:
-        positions: (T, N, 3) joints, then end sites; axis 1 is up, lengths in the motion's unit.
+        positions: (T, N, 3) joints, then end sites and balls of feet; axis 1 is up, lengths in the motion's unit.
         bones: pairs of point indices, parent first.
         sides: "left", "right" or "" for each point.
         hips: index of the point that is drawn as the root.
         head: index of the head's point, or None.
-        feet: side -> index of the foot's point.
+        feet: side -> index of the foot's point: its toes, or the ball of a foot without toes.
         floor: height of the ground line.
         floor_is_zero: whether the floor is at zero; else it is at the lowest point of the body.
         facing: (T,) heading in the ground plane in radians, atan2 of axis 2 and axis 0.
@@ -85,18 +87,20 @@ def motion_figure(motion: Motion) -> Figure:
     size, places = stature(motion), rig_places(skeleton)
     sides = joint_sides(skeleton.names)
     points_sides = sides + tuple(sides[joint] for joint in ends)
+    feet = _feet(places, skeleton.names, sides, points)
+    for side, ball in _balls(places, ends, points, size).items():
+        feet[side], points_sides = points.shape[1], (*points_sides, side)
+        points = np.concatenate([points, ball[:, None]], axis=1)
     floor, floor_is_zero = _floor(points, size)
     hips = _hips(points, skeleton.parents, floor, size)
-    stand = (
-        range(hips + 1) if hips else range(0)
-    )  # bones from the floor to the hips do not belong to the body
+    base = range(hips + 1) if hips else range(0)  # bones from the floor to the hips do not belong to the body
     return Figure(
         points,
-        tuple(bone for bone in bones if not _is_loose(points, bone, size) and bone[1] not in stand),
+        tuple(bone for bone in bones if not _is_loose(points, bone, size) and bone[1] not in base),
         points_sides,
         hips,
         _head(places, skeleton.names),
-        _feet(places, skeleton.names, sides, points),
+        feet,
         floor,
         floor_is_zero,
         _facing(points, sides),
@@ -151,13 +155,26 @@ def _feet(
     feet = {}
     heights = points[:, : len(names), 1].mean(axis=0)
     for side in sorted(set(sides) - {""}) or [""]:
-        own = [i for i, s in enumerate(sides) if s == side]
+        on_side = [i for i, s in enumerate(sides) if s == side]
         for pattern in (r"toe(?!.*(end|nub))", r"foot|ankle|talus", r""):
-            found = [i for i in own if re.search(pattern, names[i], re.IGNORECASE)]
+            found = [i for i in on_side if re.search(pattern, names[i], re.IGNORECASE)]
             if found:
                 feet[side] = min(found, key=lambda i: (round(float(heights[i]), 3), i))
                 break
     return feet
+
+
+def _balls(places: dict[str, int], ends: list[int], points: Array, stature: float) -> dict[str, Array]:
+    """The balls (T, 3) of feet without toes, whose ankles move while the balls stand; only of bones as long as feet."""
+    first, out = points.shape[1] - len(ends), {}
+    for side in ("Left", "Right"):
+        foot = places.get(f"{side}Foot")
+        if foot not in ends or f"{side}ToeBase" in places:
+            continue
+        bone = points[:, first + ends.index(foot)] - points[:, foot]
+        if np.linalg.norm(bone[0]) > FOOT_SHARE * stature:
+            out[side.lower()] = points[:, foot] + BALL * bone
+    return out
 
 
 def _facing(points: Array, sides: tuple[str, ...]) -> Array:

@@ -21,12 +21,13 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import matrix_to_quat
 from motionkit.rig.character import Character
 from motionkit.rig.sides import joint_sides
+from motionkit.rig.units import rig_places
 from motionkit.rig.upright import CM, in_metres
 from motionkit.view.asset import BODIES
 from motionkit.view.body import make_body
-from motionkit.view.character_data import own_joints
+from motionkit.view.character_data import character_joints
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
-from motionkit.view.surface import OWN
+from motionkit.view.surface import COLOR_SHARES
 
 QUATERNION_STEPS = 32767  # steps per unit of a quaternion; resolves a few thousandths of a degree
 POINT_STEPS = 10_000  # steps per metre of body points; 0.1 mm each
@@ -34,7 +35,7 @@ NORMAL_STEPS = 127  # steps per unit of their normals
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class MotionView:
     """A motion to display.
 
     Attributes:
@@ -54,13 +55,13 @@ class Shown:
     body: str = BODIES[0]
 
     @property
-    def hero(self) -> Character | None:
+    def skinned_character(self) -> Character | None:
         """The character, to be shown instead of a figure, if it has meshes and the motion is on its joints."""
         one = self.character
         return one if one is not None and one.has_mesh and one.holds(self.motion) else None
 
 
-def shown_motions(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[Shown]:
+def motion_views(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[MotionView]:
     """Motions with names, by default "motion 1", "motion 2" ...
 
     Raises:
@@ -69,7 +70,7 @@ def shown_motions(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[
     if names and len(names) != len(motions):
         raise MotionkitError(f"expected a name for each of {len(motions)} motions, found {len(names)}")
     called = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
-    return [Shown(name, motion) for name, motion in zip(called, motions, strict=True)]
+    return [MotionView(name, motion) for name, motion in zip(called, motions, strict=True)]
 
 
 def pack(values: NDArray, kind: str) -> dict[str, Any]:
@@ -85,49 +86,47 @@ def pack(values: NDArray, kind: str) -> dict[str, Any]:
     return {"type": kind, "shape": list(array.shape), "data": data}
 
 
-def figure_data(shown: Shown) -> dict[str, Any]:
+def figure_data(view: MotionView) -> dict[str, Any]:
     """The page's data for a motion: rig, body, frames, contacts, types and path."""
-    metres = in_metres(shown.motion)
+    metres = in_metres(view.motion)
     motion = metres.motion
     figure = motion_figure(motion)
-    path = None if shown.path is None else pack(shown.path.astype(np.float64) * CM, "f4")
-    character, hero = shown.hero, None
+    places = rig_places(motion.skeleton)
+    path = None if view.path is None else pack(view.path.astype(np.float64) * CM, "f4")
+    character, on_page = view.skinned_character, None
     if character is not None:
-        unit = metres.scale / character.metres(shown.motion)
-        hero = own_joints(character, [0, *motion.moving_joints()[1:]], unit, metres.up)
+        unit = metres.scale / character.metres(view.motion)
+        on_page = character_joints(character, [0, *motion.moving_joints()[1:]], unit, metres.up)
     return {
-        "name": shown.name,
+        "name": view.name,
         "fps": motion.fps,
         "frames": len(motion),
         "scale": metres.scale,
         "unit": metres.note,
         "floor": 0.0 if figure.floor_is_zero else figure.floor,
-        **rig_data(motion, figure, None if hero else shown.body),
-        "hero": hero,
+        **rig_data(motion, figure, None if on_page else view.body),
+        "hero": on_page,
         "rotations": pack((motion.local_rotations.astype(np.float64) * QUATERNION_STEPS).round(), "i2"),
         "roots": pack(motion.root_positions, "f4"),
         "moving": _moving(motion),
         "feet": [
             {
                 "side": side,
-                "joint": foot,
+                "joint": foot if foot < len(motion.skeleton) else places[f"{side.title()}Foot"],
                 "low": pack(low_frames(figure, foot), "u1"),
                 "slides": pack(sliding_frames(figure, foot), "u1"),
             }
             for side, foot in figure.feet.items()
         ],
-        "types": _bands(shown, len(motion) / motion.fps),
+        "types": _bands(view, len(motion) / motion.fps),
         "path": path,
     }
 
 
 def rig_data(motion: Motion, figure: Figure | None = None, body: str | None = BODIES[0]) -> dict[str, Any]:
-    """The page's data for a rig and its body.
+    """The page's data for a rig, of a motion in metres with Y up and its motion_figure, and for its body.
 
-    Args:
-        motion: in metres with Y up.
-        figure: its motion_figure, computed if None.
-        body: one of BODIES; None for none, where a user's character takes its place.
+    The body is None where a user's character takes its place.
     """
     figure = figure or motion_figure(motion)
     skeleton = motion.skeleton
@@ -158,7 +157,9 @@ def _body_data(motion: Motion, figure: Figure, body: str) -> dict[str, Any]:
         "weights": pack((surface.weights * 255).round(), "u1"),
         "normals": pack((surface.normals * NORMAL_STEPS).round(), "i1"),
         "regions": pack(surface.regions, "u1"),
-        "shades": [[*color, share] for color, share in zip(surface.palette.tolist(), OWN, strict=True)],
+        "shades": [
+            [*color, share] for color, share in zip(surface.palette.tolist(), COLOR_SHARES, strict=True)
+        ],
     }
 
 
@@ -170,9 +171,9 @@ def _moving(motion: Motion) -> dict[str, Any] | None:
     )
 
 
-def _bands(shown: Shown, seconds: float) -> list[dict[str, Any]]:
+def _bands(view: MotionView, seconds: float) -> list[dict[str, Any]]:
     bands, start = [], 0.0
-    for kind, length in shown.types:
+    for kind, length in view.types:
         bands.append({"type": kind, "start": start, "end": min(start + length, seconds)})
         start += length
     return bands

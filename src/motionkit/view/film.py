@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write
 from motionkit.view.contact_sheet import load_pillow
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import MotionView
 from motionkit.view.picture import Scenery
 
 if TYPE_CHECKING:
@@ -26,13 +26,13 @@ Progress = Callable[[int, int], None]
 
 
 def write_film(
-    path: str | Path, shown: Sequence[Shown], width: int | None = None, progress: Progress | None = None
+    path: str | Path, views: Sequence[MotionView], width: int | None = None, progress: Progress | None = None
 ) -> None:
     """Write motions side by side as .gif or .mp4, in real time and atomically.
 
     Args:
         path: file to write; its ending chooses the format.
-        shown: motions to draw, at least one.
+        views: motions to draw, at least one.
         width: width in pixels, at most 3840; by default 480 for a GIF, 960 for a video. The height is 3/4 of the width.
         progress: called with the number of frames drawn and the number of all frames.
 
@@ -43,7 +43,7 @@ def write_film(
     kind = Path(path).suffix.lower()
     if kind not in (".gif", ".mp4"):
         raise MotionkitError(f"{path}: a video is a .gif or .mp4 file, found {kind!r}")
-    if not shown:
+    if not views:
         raise MotionkitError("a video needs at least one motion")
     if kind == ".mp4":
         _ffmpeg()
@@ -53,7 +53,7 @@ def write_film(
         raise MotionkitError(f"{path}: a video is at most {MAX_WIDTH} pixels wide, found {wide}")
     wide += wide % 2
     high = wide * 3 // 4 // 2 * 2  # videos need even sizes
-    seconds = max((len(one.motion) - 1) / one.motion.fps for one in shown)
+    seconds = max((len(one.motion) - 1) / one.motion.fps for one in views)
     if seconds > MAX_SECONDS:
         raise MotionkitError(
             f"{path}: {seconds:.0f} s of motion, expected at most {MAX_SECONDS:.0f} s for a video"
@@ -64,7 +64,7 @@ def write_film(
             f"{path}: {seconds:.0f} s of motion, expected at most {most:.0f} s for a GIF {wide} pixels wide; "
             "write .mp4 or choose a smaller --width"
         )
-    pictures = _pictures(Scenery(shown, wide, high), fps, progress)
+    pictures = _pictures(Scenery(views, wide, high), fps, progress)
     if kind == ".gif":
         _write_gif(path, pictures)
     else:
@@ -96,8 +96,8 @@ def _write_mp4(path: str | Path, pictures: Iterator[Image.Image], size: tuple[in
         try:
             _encode(made, pictures, size)
         except OSError as error:  # ffmpeg's own messages are after the first line
-            told = (str(error).strip() or type(error).__name__).splitlines()[0]
-            raise MotionkitError(f"{path}: ffmpeg could not write the video ({told})") from None
+            reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+            raise MotionkitError(f"{path}: ffmpeg could not write the video ({reason})") from None
         if not made.exists() or not made.stat().st_size:
             raise MotionkitError(f"{path}: ffmpeg wrote no video")
         with made.open("rb") as film:

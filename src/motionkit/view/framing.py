@@ -80,15 +80,15 @@ class Framing:
         hips = [body[:, f.hips] for f, body in zip(figures, bodies, strict=True)]
         self.angle = self._choose_angle(figures, bodies, hips)
         self.places = self._side_by_side(bodies, hips, self.angle)
-        self._way = self._targets(hips, self.places)
-        self._shift = self._shifts(bodies, self.places, self._way, self.angle)
+        self._target = self._targets(hips, self.places)
+        self._shift = self._shifts(bodies, self.places, self._target, self.angle)
         self.farthest = float(self._shift[:, 2].max())
         self._tops = [self._top(*each) for each in zip(bodies, hips, self.places, strict=True)]
 
     def camera(self, time: float) -> Camera:
         """The camera at a time in seconds."""
         return Camera(
-            self._at(self._way, time), self._at(self._shift, time), camera_axes(self.angle), self.size
+            self._at(self._target, time), self._at(self._shift, time), camera_axes(self.angle), self.size
         )
 
     def tops(self, time: float) -> Array:
@@ -106,16 +106,16 @@ class Framing:
         front = np.sum([_front(f) for f in figures], axis=0) / len(figures)
         facing = float(np.arctan2(front[0], front[1])) if np.hypot(*front) > 0.2 else 0.0
         if len(figures) == 1:
-            way = hips[0][-1] - hips[0][0]
-            travels = np.hypot(way[0], way[2]) > 1.0
-            return float(np.arctan2(way[0], way[2])) + TRAVEL_ANGLE if travels else facing + SIDE_ANGLE
+            travel = hips[0][-1] - hips[0][0]
+            travels = np.hypot(travel[0], travel[2]) > 1.0
+            return float(np.arctan2(travel[0], travel[2])) + TRAVEL_ANGLE if travels else facing + SIDE_ANGLE
         some = np.unique(np.linspace(0, len(self._times) - 1, 60).astype(int))
         bodies, hips = [b[some] for b in bodies], [h[some] for h in hips]
 
         def cost(angle: float) -> float:
             places = self._side_by_side(bodies, hips, angle)
-            way = np.mean([h + p for h, p in zip(hips, places, strict=True)], axis=0) * [1.0, 0.0, 1.0]
-            far = self._fitted(self._supports(bodies, places, way, angle))[:, 2].max()
+            target = np.mean([h + p for h, p in zip(hips, places, strict=True)], axis=0) * [1.0, 0.0, 1.0]
+            far = self._fitted(self._supports(bodies, places, target, angle))[:, 2].max()
             return float(far) * (1 + _FACE * (1 - np.cos(angle - facing - SIDE_ANGLE)) / 2)
 
         turns = np.arange(_ANGLES) * 2 * np.pi / _ANGLES
@@ -143,18 +143,18 @@ class Framing:
     def _targets(self, hips: list[Array], places: list[Array]) -> Array:
         """The camera's target (T, 3): the middle of all hips, smoothed over time."""
         middle = np.mean([h + p for h, p in zip(hips, places, strict=True)], axis=0)
-        way = _smooth(middle)
+        target = _smooth(middle)
         # Follow stairs but not steps and jumps, which use the free room above the head.
-        way[:, 1] = EYE + way[:, 1] - np.clip(way[:, 1], -0.5, 1.5)
-        return way
+        target[:, 1] = EYE + target[:, 1] - np.clip(target[:, 1], -0.5, 1.5)
+        return target
 
-    def _shifts(self, bodies: list[Array], places: list[Array], way: Array, angle: float) -> Array:
+    def _shifts(self, bodies: list[Array], places: list[Array], target: Array, angle: float) -> Array:
         """The shift (T, 3) from the target to the camera, along the camera's axes."""
-        supports = self._supports(bodies, places, way, angle)
+        supports = self._supports(bodies, places, target, angle)
         # An average of maxima over an equally wide window is never below the values.
         return self._fitted(_smooth(_largest_around(supports)))
 
-    def _supports(self, bodies: list[Array], places: list[Array], way: Array, angle: float) -> Array:
+    def _supports(self, bodies: list[Array], places: list[Array], target: Array, angle: float) -> Array:
         """The largest left sides (T, 4) of the inequalities for the right, left, top and bottom edges."""
         axes = camera_axes(angle)
         sides = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -164,7 +164,7 @@ class Framing:
             (body @ normals.T).max(axis=1) + place @ normals.T
             for body, place in zip(bodies, places, strict=True)
         ]
-        found: Array = np.max(every, axis=0) + thick - way @ normals.T
+        found: Array = np.max(every, axis=0) + thick - target @ normals.T
         return np.maximum(found, self._tangents * self._nearest)
 
     def _fitted(self, supports: Array) -> Array:

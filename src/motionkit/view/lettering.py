@@ -15,7 +15,7 @@ from typing import Any
 
 from motionkit.names import nfc
 
-OWN_FONT = "DejaVuSans-letters.ttf"
+BUNDLED_FONT = "DejaVuSans-letters.ttf"
 # Fonts for other scripts; Pillow finds these names in the font folders of Windows, macOS and Linux.
 SYSTEM_FONTS = (
     "NotoSansCJK-Regular.ttc",
@@ -60,12 +60,14 @@ def _fonts(size: float) -> Iterator[Any]:
     """Candidate fonts: Pillow's own if it is scalable (from Pillow 10.1, with FreeType), then others."""
     from PIL import ImageFont
 
-    own = _default_font(size)
+    default = _default_font(size)
     scalable = [
-        font for font in (own, _named_font(OWN_FONT, size)) if isinstance(font, ImageFont.FreeTypeFont)
+        font
+        for font in (default, _named_font(BUNDLED_FONT, size))
+        if isinstance(font, ImageFont.FreeTypeFont)
     ]
     if not scalable:
-        yield own
+        yield default
         return
     yield from scalable
     yield from filter(None, (_named_font(name, size) for name in SYSTEM_FONTS))
@@ -86,9 +88,9 @@ def _named_font(name: str, size: float) -> Any:
     """A font by its file name; None if it is missing or Pillow has no FreeType."""
     from PIL import ImageFont
 
-    own = (files("motionkit") / "assets" / "fonts" / name).read_bytes() if name == OWN_FONT else None
+    data = (files("motionkit") / "assets" / "fonts" / name).read_bytes() if name == BUNDLED_FONT else None
     try:
-        return ImageFont.truetype(name if own is None else io.BytesIO(own), round(size))
+        return ImageFont.truetype(name if data is None else io.BytesIO(data), round(size))
     except (OSError, ImportError):
         return None
 

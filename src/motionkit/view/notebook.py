@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
-from motionkit.view.figure_data import shown_motions
+from motionkit.view.figure_data import motion_views
 from motionkit.view.viewer import viewer_page
 
 MOST_HEIGHT = 2000  # pixels
@@ -46,7 +46,7 @@ def show(*motions: Motion, names: Sequence[str] = (), height: int = 420, control
     Raises:
         MotionkitError: no motions or more than 32, a wrong number of names, or a height out of range.
     """
-    shown = shown_motions(motions, names)
+    views = motion_views(motions, names)
     if not 50 <= height <= MOST_HEIGHT:
         raise MotionkitError(f"expected a height of 50 to {MOST_HEIGHT} pixels, found {height}")
-    return Player(viewer_page(shown, bare=not controls), height)
+    return Player(viewer_page(views, bare=not controls), height)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,17 +13,18 @@ from motionkit.motion.rotations import quat_to_matrix
 from motionkit.rig.upright import in_metres
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet import load_pillow
-from motionkit.view.contact_sheet_geometry import Figure, motion_figure
-from motionkit.view.figure_data import Shown
+from motionkit.view.contact_sheet_geometry import motion_figure
+from motionkit.view.figure_data import MotionView
 from motionkit.view.framing import DISTANCE, SIDE_ANGLE, Camera, Framing, frame_at
 from motionkit.view.picture_labels import Labels
 from motionkit.view.raster import fill_triangles
-from motionkit.view.surface import Array, Surface
+from motionkit.view.surface import Array
 
 if TYPE_CHECKING:
     from PIL import Image
 
 ZOOM = 2  # drawing scale before the picture is reduced
+LINE_WIDTH = 4  # pixels
 GRID_REACH = 9  # lines on each side of the camera's target
 SKY, GROUND, LINE = (238, 241, 245), (227, 231, 237), (200, 207, 216)  # RGB, 0 to 255
 SHIRTS = ((79, 134, 232), (232, 133, 61), (63, 174, 116), (168, 115, 222), (221, 85, 103), (43, 167, 172))
@@ -34,43 +33,36 @@ SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm(
 )  # direction of the light, for a camera at SIDE_ANGLE
 
 
-@dataclass(frozen=True, eq=False)
+# Points (N, 3) of a line on the ground, and its colour.
+Line = tuple[Array, tuple[int, int, int]]
+
+
 class Actor:
-    """A motion prepared for drawing: rotations (T, J, 3, 3), positions (T, J, 3) and hips (T, 3), in metres."""
+    """A motion prepared for drawing, in metres.
 
-    shown: Shown
-    color: tuple[int, int, int]
+    Attributes:
+        color: of the figure, 0 to 255.
+        figure: its points and bones.
+        corners: (F, 3) points of each triangle.
+        shades: (F, 3) colour of each triangle in full light.
+    """
 
-    @cached_property
-    def _parts(self) -> tuple[Any, ...]:
-        motion = in_metres(self.shown.motion).motion
-        figure = motion_figure(motion)
-        surface, pose = make_body(motion, figure, self.shown.body)
+    def __init__(self, view: MotionView, color: tuple[int, int, int]) -> None:
+        motion = in_metres(view.motion).motion
+        self.color, self.figure = color, motion_figure(motion)
+        self._surface, self._pose = make_body(motion, self.figure, view.body)
         turns, places = motion_kinematics(motion)
-        return surface, pose, quat_to_matrix(turns).astype(np.float64), places.astype(np.float64), figure
-
-    @property
-    def figure(self) -> Figure:
-        figure: Figure = self._parts[4]
-        return figure
-
-    @cached_property
-    def shades(self) -> Array:
-        """The colour (F, 3) of each triangle in full light."""
-        surface: Surface = self._parts[0]
-        return surface.shades(np.array(self.color, np.float64))[surface.regions[surface.triangles[:, 0]]]
-
-    @property
-    def corners(self) -> NDArray[np.int64]:
-        """The points (F, 3) of each triangle."""
-        corners: NDArray[np.int64] = self._parts[0].triangles
-        return corners
+        self._turns, self._places = quat_to_matrix(turns).astype(np.float64), places.astype(np.float64)
+        self.corners = self._surface.triangles
+        shades = self._surface.shades(np.array(color, np.float64))
+        self.shades: Array = shades[self._surface.regions[self.corners[:, 0]]]
 
     def body(self, time: float) -> tuple[Array, Array]:
         """Points (V, 3) in the world at a time, with the floor at zero, and the triangles' smoothed normals (F, 3)."""
-        surface, pose, turns, places, figure = self._parts
-        frame = frame_at(time, figure.fps, len(turns))
-        points, normals = surface.moved(pose.matrices_from(turns[frame], places[frame]), surface.normals)
+        surface, figure = self._surface, self.figure
+        frame = frame_at(time, figure.fps, len(self._turns))
+        moves = self._pose.matrices_from(self._turns[frame], self._places[frame])
+        points, normals = surface.moved(moves, surface.normals)
         points[:, 1] -= 0.0 if figure.floor_is_zero else figure.floor
         return points, normals[surface.triangles].mean(axis=1)
 
@@ -78,11 +70,11 @@ class Actor:
 class Scenery:
     """Motions side by side, and their camera."""
 
-    def __init__(self, shown: Sequence[Shown], width: int, height: int) -> None:
+    def __init__(self, views: Sequence[MotionView], width: int, height: int) -> None:
         self.pillow = load_pillow()
         self.size = width * ZOOM, height * ZOOM
-        self.actors = [Actor(one, SHIRTS[n % len(SHIRTS)]) for n, one in enumerate(shown)]
-        self.labels = Labels(shown, [a.color for a in self.actors], width, height) if len(shown) > 1 else None
+        self.actors = [Actor(one, SHIRTS[n % len(SHIRTS)]) for n, one in enumerate(views)]
+        self.labels = Labels(views, [a.color for a in self.actors], width, height) if len(views) > 1 else None
         top = 0 if self.labels is None else self.labels.height * ZOOM
         self.framing = Framing([a.figure for a in self.actors], self.size, top)
         self.seconds = self.framing.seconds
@@ -91,21 +83,32 @@ class Scenery:
 
     def frame(self, time: float) -> Image.Image:
         """The picture at a time in seconds."""
-        image, image_draw, _ = self.pillow
         camera = self.framing.camera(time)
-        bodies = [a.body(time) for a in self.actors]
-        bodies = [
-            (body + place, skin) for (body, skin), place in zip(bodies, self.framing.places, strict=True)
-        ]
-        picture = image.new("RGB", self.size, SKY)
-        self.ground(image_draw.Draw(picture), camera)
-        self.shadows(picture, bodies, camera)
-        pixels = np.array(picture)
-        fill_triangles(pixels, *self.shaded(bodies, camera))
-        picture = image.fromarray(pixels).reduce(ZOOM)
+        picture = self.drawn([time] * len(self.actors), self.framing.places, camera)
         if self.labels is not None:
             self.labels.draw(picture, camera.screen(self.framing.tops(time))[:, :2] / ZOOM)
         return picture
+
+    def drawn(
+        self, times: Sequence[float], places: Iterable[Array], camera: Camera, lines: Sequence[Line] = ()
+    ) -> Image.Image:
+        """The actors, each at its time and moved to its place (3,), over lines on the ground."""
+        image, image_draw, _ = self.pillow
+        bodies = []
+        for actor, time, place in zip(self.actors, times, places, strict=True):
+            points, normals = actor.body(float(time))
+            bodies.append((points + place, normals))
+        picture = image.new("RGB", self.size, SKY)
+        self.ground(image_draw.Draw(picture), camera)
+        self.shadows(picture, bodies, camera)
+        pen = image_draw.Draw(picture)
+        for track, color in lines:
+            if len(track) > 1:
+                seen = [tuple(point) for point in camera.screen(track)[:, :2].tolist()]
+                pen.line(seen, fill=color, width=LINE_WIDTH * ZOOM, joint="curve")
+        pixels = np.array(picture)
+        fill_triangles(pixels, *self.shaded(bodies, camera))
+        return image.fromarray(pixels).reduce(ZOOM)
 
     def shadows(self, picture: Image.Image, bodies: list[tuple[Array, Array]], camera: Camera) -> None:
         """Draw soft shadows on the ground, at low resolution because they are blurred."""
@@ -144,13 +147,13 @@ class Scenery:
         seen = camera.screen(lines)
         starts, ends = seen[:, :-1].reshape(-1, 3), seen[:, 1:].reshape(-1, 3)
         low, high = np.minimum(starts, ends), np.maximum(starts, ends)
-        shown = (low[:, 2] > 0.3) & (high[:, :2] >= 0.0).all(axis=1) & (low[:, :2] <= self.size).all(axis=1)
-        starts, ends = starts[shown], ends[shown]
+        inside = (low[:, 2] > 0.3) & (high[:, :2] >= 0.0).all(axis=1) & (low[:, :2] <= self.size).all(axis=1)
+        starts, ends = starts[inside], ends[inside]
         fades = np.clip((starts[:, 2] - camera.distance) / reach, 0.0, 1.0)[:, None]
         colors = ((1 - fades) * LINE + fades * GROUND).round().astype(int).tolist()
-        ways = np.concatenate([starts[:, :2], ends[:, :2]], axis=1).tolist()
-        for way, color in zip(ways, colors, strict=True):
-            pen.line(way, fill=tuple(color), width=ZOOM)
+        segments = np.concatenate([starts[:, :2], ends[:, :2]], axis=1).tolist()
+        for segment, color in zip(segments, colors, strict=True):
+            pen.line(segment, fill=tuple(color), width=ZOOM)
 
     def shaded(self, bodies: list[tuple[Array, Array]], camera: Camera) -> tuple[Array, NDArray[np.uint8]]:
         """Corners (F, 3, 2) and colours (F, 3) of triangles that face the camera, from far to near."""
@@ -179,6 +182,6 @@ def sunlight(angle: float) -> Array:
 
 def grid_step(distance: float) -> float:
     """Distance in metres between grid lines: 1, 2, 5, 10 ..., depending on the camera's distance."""
-    wanted = max(1.0, distance / (2 * DISTANCE))
-    ten = 10.0 ** np.floor(np.log10(wanted))
-    return float(next(ten * step for step in (1.0, 2.0, 5.0, 10.0) if ten * step >= wanted))
+    length = max(1.0, distance / (2 * DISTANCE))
+    ten = 10.0 ** np.floor(np.log10(length))
+    return float(next(ten * step for step in (1.0, 2.0, 5.0, 10.0) if ten * step >= length))

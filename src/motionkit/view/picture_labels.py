@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from motionkit.view.contact_sheet import load_pillow
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import MotionView
 from motionkit.view.lettering import lettered
 from motionkit.view.surface import Array
 
@@ -25,25 +25,25 @@ LONGEST = 80  # letters of a name before it is shortened
 class Labels:
     """A tag for each motion: its name in a box of its figure's colour."""
 
-    def __init__(self, shown: Sequence[Shown], colors: Sequence[Color], width: int, height: int) -> None:
+    def __init__(self, views: Sequence[MotionView], colors: Sequence[Color], width: int, height: int) -> None:
         image, image_draw, _ = load_pillow()
         size = max(SMALLEST, height // 26)
-        most = max(4.0 * size, 0.9 * width / len(shown))
+        most = max(4.0 * size, 0.9 * width / len(views))
         self.width = width
         self.tags = [
             _tag(image, image_draw, size, one.name, color, most)
-            for one, color in zip(shown, colors, strict=True)
+            for one, color in zip(views, colors, strict=True)
         ]
         self.height = max(tag.height for tag in self.tags) + GAP
 
     def draw(self, picture: Image.Image, points: Array) -> None:
         """Draw the tags above points (N, 2) in pixels; stack those that overlap."""
-        taken: list[tuple[float, float, float, float]] = []
+        placed: list[tuple[float, float, float, float]] = []
         for n in np.argsort(-points[:, 1], kind="stable"):
             tag = self.tags[n]
             left = float(np.clip(points[n, 0] - tag.width / 2, 0, max(self.width - tag.width, 0)))
             top = float(points[n, 1]) - tag.height
-            for box in sorted(taken, key=lambda box: -box[1]):
+            for box in sorted(placed, key=lambda box: -box[1]):
                 if (
                     left < box[2] + GAP
                     and box[0] < left + tag.width + GAP
@@ -52,7 +52,7 @@ class Labels:
                 ):
                     top = box[1] - GAP - tag.height
             top = float(np.clip(top, 0, picture.height - tag.height))
-            taken.append((left, top, left + tag.width, top + tag.height))
+            placed.append((left, top, left + tag.width, top + tag.height))
             picture.paste(tag, (round(left), round(top)))
 
 

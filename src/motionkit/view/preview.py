@@ -8,7 +8,7 @@ from motionkit.errors import MotionkitError
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.view.write import write_view
 
-SHOWN_ROUNDS = 4  # evaluations; if there are more, the first and the last ones are shown
+LISTED_ROUNDS = 4  # evaluations; if there are more, the first and the last ones are shown
 
 
 class Preview:
@@ -29,8 +29,8 @@ class Preview:
                 copy.write_bytes(made.read_bytes())
                 copies.append(copy)
             self.rounds.append((step, copies))
-            shown = self.rounds[:1] + self.rounds[1:][1 - SHOWN_ROUNDS :]
-            files = [file for _, made in shown for file in made] + sorted(self.samples.glob("*-true.bvh"))
+            rounds = self.rounds[:1] + self.rounds[1:][1 - LISTED_ROUNDS :]
+            files = [file for _, made in rounds for file in made] + sorted(self.samples.glob("*-true.bvh"))
             files.sort(key=_type_and_step)
             motions = [bvh_to_motion(read_bvh(file)) for file in files]
             write_view(self.file, *motions, names=[file.stem for file in files])

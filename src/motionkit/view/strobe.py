@@ -14,11 +14,10 @@ import numpy as np
 
 from motionkit.files import atomic_write
 from motionkit.view.contact_sheet import load_pillow
-from motionkit.view.figure_data import CM, Shown
+from motionkit.view.figure_data import CM, MotionView
 from motionkit.view.framing import Camera, frame_at
 from motionkit.view.lettering import lettered
-from motionkit.view.picture import SHIRTS, SKY, ZOOM, Actor, Scenery, grid_step, sunlight
-from motionkit.view.raster import fill_triangles
+from motionkit.view.picture import SHIRTS, ZOOM, Actor, Scenery, grid_step, sunlight
 from motionkit.view.surface import Array
 
 LIFT = 0.42  # radians, downward pitch of the camera
@@ -27,7 +26,6 @@ NEAREST, FARTHEST = 4.0, 400.0  # m, range of camera distances to try
 STEP = 1.03  # factor between distances
 APART = 0.95  # m between bodies in a row
 EDGE = 0.05  # free margin on every side, as a share of the picture
-LINE_WIDTH = 4  # pixels
 
 
 class StrobePicture(Scenery):
@@ -36,12 +34,12 @@ class StrobePicture(Scenery):
     shown.types gives the types and their seconds, shown.path a requested path in cm.
     """
 
-    def __init__(self, shown: Shown, poses: int = 14, width: int = 1600, height: int = 640) -> None:
+    def __init__(self, view: MotionView, poses: int = 14, width: int = 1600, height: int = 640) -> None:
         self.pillow = load_pillow()
         self.size = width * ZOOM, height * ZOOM
-        self.shown = shown
-        kinds = list(dict.fromkeys(kind for kind, _ in shown.types)) or [""]
-        self.of_kind = {kind: Actor(shown, SHIRTS[n % len(SHIRTS)]) for n, kind in enumerate(kinds)}
+        self.view = view
+        kinds = list(dict.fromkeys(kind for kind, _ in view.types)) or [""]
+        self.of_kind = {kind: Actor(view, SHIRTS[n % len(SHIRTS)]) for n, kind in enumerate(kinds)}
         figure = self.of_kind[kinds[0]].figure
         self.times = np.linspace(0.0, (len(figure.positions) - 1) / figure.fps, poses)
         self.actors = [self.of_kind[self._type_at(time, kinds[0])] for time in self.times]
@@ -50,48 +48,35 @@ class StrobePicture(Scenery):
         self.places = np.zeros((poses, 3))
         self.track, self.path = np.zeros((0, 3)), np.zeros((0, 3))
         bodies = figure.positions[frames] - [0.0, floor, 0.0]
-        if shown.path is None:
+        if view.path is None:
             self.places = _in_a_row(bodies[:, figure.hips])
-            way = np.array([1.0, 0.0, 0.0])
+            direction = np.array([1.0, 0.0, 0.0])
         else:
             self.track = figure.positions[:, figure.hips] * [1.0, 0.0, 1.0]
-            self.path = _on_ground(shown.path * CM)
-            way = _longer_way(self.track)
+            self.path = _on_ground(view.path * CM)
+            direction = _longer_direction(self.track)
         points = [(bodies + self.places[:, None]).reshape(-1, 3), self.track, self.path]
-        self.camera = _camera(np.concatenate(points), way, self.size)
+        self.camera = _camera(np.concatenate(points), direction, self.size)
         self.sun = sunlight(float(np.arctan2(self.camera.axes[2][0], self.camera.axes[2][2])))
         self.step = grid_step(self.camera.distance)
 
     def _type_at(self, time: float, first: str) -> str:
-        ends = np.cumsum([seconds for _, seconds in self.shown.types])
+        ends = np.cumsum([seconds for _, seconds in self.view.types])
         if not len(ends):
             return first
-        return self.shown.types[min(int(np.searchsorted(ends, time)), len(ends) - 1)][0]
+        return self.view.types[min(int(np.searchsorted(ends, time)), len(ends) - 1)][0]
 
     def draw(self) -> Any:
         """The picture, a PIL image."""
-        image, image_draw, _ = self.pillow
-        bodies = []
-        for actor, time, place in zip(self.actors, self.times, self.places, strict=True):
-            points, normals = actor.body(float(time))
-            bodies.append((points + place, normals))
-        picture = image.new("RGB", self.size, SKY)
-        pen = image_draw.Draw(picture)
-        self.ground(pen, self.camera)
-        self.shadows(picture, bodies, self.camera)
-        pen = image_draw.Draw(picture)
-        self._line(pen, self.path, PATH)
-        self._line(pen, self.track, TRACK)
-        pixels = np.array(picture)
-        fill_triangles(pixels, *self.shaded(bodies, self.camera))
-        picture = image.fromarray(pixels).reduce(ZOOM)
-        self._legend(image_draw.Draw(picture))
+        lines = ((self.path, PATH), (self.track, TRACK))
+        picture = self.drawn(self.times.tolist(), self.places, self.camera, lines)
+        self._legend(self.pillow[1].Draw(picture))
         return picture
 
     def _legend(self, pen: Any) -> None:
         """Write the motion's name, and each type in its colour."""
         x, y = 16, 12
-        name, font = lettered(self.shown.name, 20)
+        name, font = lettered(self.view.name, 20)
         pen.text((x, y), name, fill=INK, font=font)
         for kind, actor in self.of_kind.items():
             if kind:
@@ -100,15 +85,10 @@ class StrobePicture(Scenery):
                 pen.text((x + 18, y + 32), kind, fill=INK, font=font)
                 x += 30 + int(pen.textlength(kind, font=font))
 
-    def _line(self, pen: Any, points: Array, color: tuple[int, int, int]) -> None:
-        if len(points) > 1:
-            seen = self.camera.screen(points)[:, :2]
-            pen.line([tuple(p) for p in seen.tolist()], fill=color, width=LINE_WIDTH * ZOOM, joint="curve")
 
-
-def write_strobe(path: str | Path, shown: Shown, poses: int = 14) -> None:
+def write_strobe(path: str | Path, view: MotionView, poses: int = 14) -> None:
     """Write the picture of a motion as PNG, atomically. Raises MotionkitError if Pillow is not installed."""
-    picture = StrobePicture(shown, poses).draw()
+    picture = StrobePicture(view, poses).draw()
     with atomic_write(path, "wb") as file:
         picture.save(file, format="PNG", optimize=True)
 
@@ -124,12 +104,12 @@ def _in_a_row(hips: Array) -> Array:
     return row - hips * [1.0, 0.0, 1.0]
 
 
-def _longer_way(track: Array) -> Array:
+def _longer_direction(track: Array) -> Array:
     """The ground direction (3,) in which a track (T, 3) is longest, pointing from its start to its end."""
     flat = track[:, [0, 2]] - track[:, [0, 2]].mean(axis=0)
-    _, _, ways = np.linalg.svd(flat, full_matrices=False)
-    way = np.array([ways[0, 0], 0.0, ways[0, 1]])
-    return -way if way @ (track[-1] - track[0]) < 0.0 else way
+    _, _, axes = np.linalg.svd(flat, full_matrices=False)
+    direction = np.array([axes[0, 0], 0.0, axes[0, 1]])
+    return -direction if direction @ (track[-1] - track[0]) < 0.0 else direction
 
 
 def _camera(points: Array, right: Array, size: Sequence[int]) -> Camera:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 REGIONS = ("Shirt", "Trousers", "Skin", "Shoes", "Hair", "Eyes", "Iris")
-# How much of a region's colour is its own; the rest is the figure's, by which figures are told apart.
-OWN = (0.0, 0.82, 1.0, 1.0, 1.0, 1.0, 1.0)
+# Share of a region's natural colour; the rest is the figure's colour, which sets figures apart.
+COLOR_SHARES = (0.0, 0.82, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,8 @@ class Surface:
 
     def shades(self, color: Array) -> Array:
         """Colours (R, 3) of the regions for a figure's colour (3,), in the same scale (0 to 255)."""
-        own = np.array(OWN)[:, None]
-        shades: Array = (1.0 - own) * color + own * self.palette
+        share = np.array(COLOR_SHARES)[:, None]
+        shades: Array = (1.0 - share) * color + share * self.palette
         return shades
 
     @cached_property

@@ -12,12 +12,12 @@ from typing import Any
 from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write
 from motionkit.view.character_data import page_bytes
-from motionkit.view.figure_data import Shown, figure_data
+from motionkit.view.figure_data import MotionView, figure_data
 
 MAX_MOTIONS = 32  # per page
 
 
-def viewer_page(shown: Sequence[Shown], title: str = "", bare: bool = False) -> str:
+def viewer_page(views: Sequence[MotionView], title: str = "", bare: bool = False) -> str:
     """The HTML of a page that plays the motions; it opens from disk and needs no network.
 
     bare omits the controls, for a small frame in another page; a click then plays or pauses.
@@ -25,15 +25,15 @@ def viewer_page(shown: Sequence[Shown], title: str = "", bare: bool = False) -> 
     Raises:
         MotionkitError: there are no motions, or more than 32.
     """
-    if not 0 < len(shown) <= MAX_MOTIONS:
-        raise MotionkitError(f"a viewer file shows 1 to {MAX_MOTIONS} motions, found {len(shown)}")
-    named = title or " · ".join(one.name for one in shown)
-    heroes = [one.hero for one in shown]
-    characters = list(dict.fromkeys(hero.tree.file for hero in heroes if hero))
-    motions = [figure_data(one) for one in shown]
-    for hero, motion in zip(heroes, motions, strict=True):
-        if hero is not None:
-            motion["hero"]["file"] = characters.index(hero.tree.file)
+    if not 0 < len(views) <= MAX_MOTIONS:
+        raise MotionkitError(f"a viewer file shows 1 to {MAX_MOTIONS} motions, found {len(views)}")
+    named = title or " · ".join(one.name for one in views)
+    skinned = [one.skinned_character for one in views]
+    characters = list(dict.fromkeys(character.tree.file for character in skinned if character))
+    motions = [figure_data(one) for one in views]
+    for character, motion in zip(skinned, motions, strict=True):
+        if character is not None:
+            motion["hero"]["file"] = characters.index(character.tree.file)
     data = {
         "title": f"{named} · motionkit",
         "bare": bare,
@@ -43,9 +43,9 @@ def viewer_page(shown: Sequence[Shown], title: str = "", bare: bool = False) -> 
     return fill_page("view.html", data)
 
 
-def write_viewer(path: str | Path, shown: Sequence[Shown], title: str = "") -> None:
+def write_viewer(path: str | Path, views: Sequence[MotionView]) -> None:
     """Write a viewer page, atomically."""
-    page = viewer_page(shown, title)
+    page = viewer_page(views)
     with atomic_write(path) as file:
         file.write(page)
 

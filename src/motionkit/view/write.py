@@ -7,7 +7,7 @@ from pathlib import Path
 
 from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
-from motionkit.view.figure_data import Shown, shown_motions
+from motionkit.view.figure_data import MotionView, motion_views
 
 SHEET_WIDTH = 1800  # pixels, default width of a contact sheet
 
@@ -25,37 +25,34 @@ def write_view(
 
     Raises MotionkitError for other endings, and for pictures without Pillow (`pip install 'motionkit[view]'`).
     """
-    write_shown(path, shown_motions(motions, names or ()), width)
+    write_views(path, motion_views(motions, names or ()), width)
 
 
-def write_shown(
+def write_views(
     path: str | Path,
-    shown: Sequence[Shown],
+    views: Sequence[MotionView],
     width: int | None = None,
     poses: int = 12,
     every: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Like write_view, for motions with names, types and paths.
+    """Like write_view, for motions with names, types and paths; poses and every as for contact_sheet.
 
-    Args:
-        poses: stick figures per motion on a contact sheet.
-        every: frames between stick figures; replaces poses.
-        progress: called with the number of film frames drawn and the number of all frames.
+    progress is called with the number of film frames drawn and the number of all frames.
     """
     kind = Path(path).suffix.lower()
     if kind == ".html":
         from motionkit.view.viewer import write_viewer
 
-        write_viewer(path, shown)
+        write_viewer(path, views)
     elif kind == ".png":
         from motionkit.view.contact_sheet import write_contact_sheet
 
-        sheet = [(one.name, one.motion) for one in shown]
+        sheet = [(one.name, one.motion) for one in views]
         write_contact_sheet(path, sheet, poses, width or SHEET_WIDTH, every)
     elif kind in (".gif", ".mp4"):
         from motionkit.view.film import write_film
 
-        write_film(path, shown, width, progress)
+        write_film(path, views, width, progress)
     else:
         raise MotionkitError(f"{path}: expected a file that ends with .html, .png, .gif or .mp4")

@@ -139,7 +139,7 @@ def test_the_phase_is_that_of_footsteps() -> None:
 def test_the_phase_goes_on_by_the_networks_steps() -> None:
     network = PhaseFunctionedNetwork(PhaseFunctionedConfig(hidden=8), 5).eval()
     stream = network.stream(1)
-    stream.reset(given=2)
+    stream.reset(warmup=2)
     contacts = torch.zeros(1, 4)
     frames = [torch.full((1, 276), 0.1 * i) for i in range(6)]
     with torch.no_grad():
@@ -256,7 +256,7 @@ def test_frames_count_only_where_a_search_is_due() -> None:
 
     def roll(rows: torch.Tensor) -> torch.Tensor:
         stream = network.stream(1)
-        stream.reset(given=2)  # frames 0 and 1
+        stream.reset(warmup=2)  # frames 0 and 1
         with torch.no_grad():
             return torch.stack([stream.step(x, contacts, torch.zeros(1, 30)).mean for x in rows])
 

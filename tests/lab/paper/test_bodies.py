@@ -16,7 +16,7 @@ from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.lab.paper.bodies import MEASURES, measures, performers, slopes
-from motionkit.lab.paper.model_results import read_bodies
+from motionkit.lab.paper.model_results import read_models
 from motionkit.lab.paper.page import bodies_section
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import write_bvh
@@ -104,7 +104,7 @@ def test_the_command_changes_the_signal_alone(
     words = ["bodies", str(crowd_model), "--data", str(crowd_folder), "--seeds", "1", "-o", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", ["motionkit", "experiment", *words])
     main()
-    (result,) = read_bodies(tmp_path)
+    (result,) = read_models(tmp_path, "bodies")
     made = [each["made"] for each in result["performers"]]
     assert len(made) == 5 and all(set(each) == set(MEASURES) for each in made)
     assert all(np.isfinite(list(each.values())).all() for each in made)
@@ -129,4 +129,4 @@ def test_models_without_bodies_and_other_files_are_refused(
         show_bodies(tiny_model, Dataset(crowd_folder), "walking", 1, lambda share: None)
     (tmp_path / "odd.json").write_text(json.dumps({"performers": 3}))
     with pytest.raises(MotionkitError, match=r"odd\.json: not the results of bodies"):
-        read_bodies(tmp_path)
+        read_models(tmp_path, "bodies")

@@ -17,14 +17,14 @@ from motionkit.lab.paper.long_rollouts import (
     LONG_HEADER,
     _distances,
     _swing,
-    beginning,
     fastest_recorded,
+    initial_stretch,
     long_rollout,
     long_row,
     long_types,
     types_known,
 )
-from motionkit.lab.paper.model_results import read_long
+from motionkit.lab.paper.model_results import read_models
 from motionkit.lab.paper.shipped import run_shipped
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
@@ -57,7 +57,7 @@ def a_tested_type(dataset: Dataset) -> str:
 
 def test_it_begins_in_the_longest_stretch_of_a_type(paper_data: Dataset) -> None:
     kind = a_tested_type(paper_data)
-    sequence = beginning(paper_data, kind)
+    sequence = initial_stretch(paper_data, kind)
     number = paper_data.types.index(kind)
     assert (sequence.data.types == number).all() and sequence.initial == INITIAL
     longest = max(int((paper_data.clip_types(c) == number).sum()) for c in paper_data.select("test"))
@@ -85,10 +85,10 @@ def test_a_roll_out_is_measured_in_four_parts_and_repeats(
     row = long_row(facts)
     assert len(row) == len(LONG_HEADER) and row[0] == kind and row[-1] == "no"
     (tmp_path / "small.json").write_text(json.dumps({"model": "small", "steps": 4, "rollouts": [facts]}))
-    assert read_long(tmp_path)[0]["rollouts"] == [facts]
+    assert read_models(tmp_path, "long")[0]["rollouts"] == [facts]
     (tmp_path / "other.json").write_text("[]")
     with pytest.raises(MotionkitError, match=r"other\.json: not the results of long roll-outs"):
-        read_long(tmp_path)
+        read_models(tmp_path, "long")
 
 
 def test_a_dataset_of_another_layout_is_refused(paper_model: MotionModel, dataset_folder: Path) -> None:
@@ -104,11 +104,11 @@ def test_a_dataset_of_another_layout_is_refused(paper_model: MotionModel, datase
 
 def test_types_that_a_model_does_not_know_are_left_out(paper_model: MotionModel) -> None:
     first = next(iter(paper_model.types))
-    assert types_known(paper_model, [first, "dance-salsa"], asked=False) == [first]
+    assert types_known(paper_model, [first, "dance-salsa"], requested=False) == [first]
     with pytest.raises(ControlError, match="unknown motion type 'dance-salsa'"):
-        types_known(paper_model, [first, "dance-salsa"], asked=True)
+        types_known(paper_model, [first, "dance-salsa"], requested=True)
     with pytest.raises(ControlError, match="knows none of dance-salsa; choose others"):
-        types_known(paper_model, ["dance-salsa"], asked=False)
+        types_known(paper_model, ["dance-salsa"], requested=False)
 
 
 def test_only_models_that_feed_their_trajectory_back(tiny_model: MotionModel, paper_data: Dataset) -> None:

@@ -19,7 +19,7 @@ def test_figures_1_and_5_to_9_have_scenes_with_the_distances_of_the_paper() -> N
 
 
 def test_both_paths_of_figure_7_are_the_same_path() -> None:
-    one, two = ([p for _, points in each.ways for p in points] for each in chosen_scenes(["7a", "7b"]))
+    one, two = ([p for _, points in each.sections for p in points] for each in chosen_scenes(["7a", "7b"]))
     np.testing.assert_array_equal(one, two)
 
 

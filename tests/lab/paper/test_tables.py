@@ -14,9 +14,8 @@ from typing import Any
 import pytest
 
 from motionkit.errors import MotionkitError
-from motionkit.lab.paper import model_results
 from motionkit.lab.paper.claims import CLAIMS, claims_table
-from motionkit.lab.paper.model_results import read_scenes
+from motionkit.lab.paper.model_results import OF_ONE_MODEL, read_models
 from motionkit.lab.paper.page import Extras, page, tables_page, tables_path, write_page
 from motionkit.lab.paper.published import STUDIES
 from motionkit.lab.paper.scenes import SCENES
@@ -341,7 +340,7 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
     for name, shift in (("tptn-0", 2.0), ("shipped", 0.0)):
         (tmp_path / f"{name}.json").write_text(json.dumps(scenes(name, shift)))
     (tmp_path / "figure-6-curves.png").write_bytes(b"")
-    found = read_scenes(tmp_path)
+    found = read_models(tmp_path, "scenes")
     text = page(RESULTS, Extras(tuple(found)), tmp_path / "page.md")
     steps = "200 training steps in its last run (cm/frame)"
     assert f"| shipped, {steps} | tptn-0, {steps} | paper |" in text
@@ -349,9 +348,12 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
     assert "1.500 ± 0.707; 1 of 2 did not reach the end" in text
     assert text.count("\ntptn-0: One motion.\n") == 1 and "shipped: " not in text
     assert text.count("![Figure") == 1 and "](figure-6-curves.png)" in text
-    (tmp_path / "old.json").write_text('{"model": "old", "scenes": []}')
-    with pytest.raises(MotionkitError, match=r"old\.json: not the results of all scenes"):
-        read_scenes(tmp_path)
+    other = scenes("old", 0.0)
+    other["scenes"][0]["figure"] = "1" * 300  # a name of pictures
+    for damaged in ({"model": "old", "scenes": []}, other):
+        (tmp_path / "old.json").write_text(json.dumps(damaged))
+        with pytest.raises(MotionkitError, match=r"old\.json: not the results of all scenes"):
+            read_models(tmp_path, "scenes")
 
 
 def test_the_page_says_what_was_tested_and_whether_recordings_differ() -> None:
@@ -423,7 +425,7 @@ OURS = [10.0, 20.0, 15.0, 40.0, 30.0]  # the spread over seeds is far larger tha
 def test_a_claim_is_judged_seed_by_seed(gaps: list[float], said: str) -> None:
     rivals = [ours + gap for ours, gap in zip(OURS, gaps, strict=False)]
     table = claims_table([*seeds("TPTN", OURS), *seeds("EBTN", rivals)], "claims")
-    ((claim, rival, count, likelihood, *_, verdict),) = table.rows
+    ((claim, verdict, rival, count, likelihood, *_),) = table.rows
     assert (claim, rival, verdict) == ("two parts are better than the whole body", "EBTN", said)
     if len(gaps) > 1:
         assert count == "5" and str(likelihood).strip("*").startswith(f"{sum(gaps) / 5:+.1f}, t ")
@@ -438,7 +440,7 @@ def test_many_claims_need_more_than_one() -> None:
     alone = [*seeds("TPTN", OURS), *seeds("EBTN", rival)]
     others = [each for claim in CLAIMS[1:] for each in seeds(claim.rival, OURS[::-1])]
     one, many = (claims_table(results, "").rows[0] for results in (alone, alone + others))
-    assert (one[-1], many[-1]) == ("agrees", "cannot be told")
+    assert (one[1], many[1]) == ("agrees", "cannot be told")
     assert corrected([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])  # Holm 1979
     assert paired([1.0, 2.0, 3.0]).t == pytest.approx(12.0**0.5) and paired([0.0, 0.0]).p == 1.0
     # R: t.test(c(1, 2, 3))$p.value
@@ -452,9 +454,9 @@ def test_a_claim_about_movement_is_judged_by_it() -> None:
         *seeds("w/o-CL", likelihood, moved=20.0),
         *seeds("L2 Loss", [None] * 5, 40.0),
     ]
-    moved = {row[1]: row for row in claims_table(still, "claims").rows}
-    assert moved["w/o-CL"][-1] == "agrees" and str(moved["w/o-CL"][-2]).startswith("**-10.0, t ")
-    assert moved["L2 Loss"][-1] == "does not agree" and moved["L2 Loss"][3] == "", "it predicts no Gaussian"
+    moved = {row[2]: row for row in claims_table(still, "claims").rows}
+    assert moved["w/o-CL"][1] == "agrees" and str(moved["w/o-CL"][-1]).startswith("**-10.0, t ")
+    assert moved["L2 Loss"][1] == "does not agree" and moved["L2 Loss"][4] == "", "it predicts no Gaussian"
     lines = page(still)
     assert (
         "2 of 2 claims are decided: 1 agree, 1 do not. 5 seeds tell the first of 1 variant from t 2.8 on."
@@ -465,7 +467,7 @@ def test_a_claim_about_movement_is_judged_by_it() -> None:
 
 def test_results_of_before_have_no_verdict() -> None:
     rows = claims_table(RESULTS, "claims").rows
-    assert len(rows) == 2 and all(row[-1] == "cannot be told" for row in rows)  # of EBTN and FPTN-R
+    assert len(rows) == 2 and all(row[1] == "cannot be told" for row in rows)  # of EBTN and FPTN-R
     text = page(RESULTS)
     assert "## Verdicts" in text and "0 of 2 claims are decided" in text
     assert "do not see" not in text and "hardly depends" not in text
@@ -497,12 +499,11 @@ def test_the_page_says_what_more_training_does() -> None:
 @pytest.mark.parametrize("kind", ["long", "bodies", "scenes"])
 def test_results_of_one_model_are_checked_by_form(kind: str, tmp_path: Path) -> None:
     """With any field of another type or too large they are refused in one line."""
-    read = getattr(model_results, f"read_{kind}")
     committed = Path(__file__).parents[3] / "experiments" / kind
-    assert len(read(committed)) == len(list(committed.glob("*.json")))
+    assert len(read_models(committed, kind)) == len(list(committed.glob("*.json")))
     whole = json.loads(next(iter(sorted(committed.glob("*.json")))).read_text())
     (listed,) = (key for key in ("rollouts", "performers", "scenes") if key in whole)
-    used = set(getattr(model_results, {"scenes": "OF_SCENES"}.get(kind, kind.upper()))[listed][0])
+    used = set(OF_ONE_MODEL[kind][1][listed][0])
     for field in [None, *used]:
         for value in (None, 1, [], "x", {}, [None], True, 1e300, [1e300]):
             changed = json.loads(json.dumps(whole))
@@ -512,7 +513,7 @@ def test_results_of_one_model_are_checked_by_form(kind: str, tmp_path: Path) -> 
                 changed[listed][0][field] = value
             (tmp_path / "one.json").write_text(json.dumps(changed))
             try:
-                found = tuple(read(tmp_path))
+                found = tuple(read_models(tmp_path, kind))
             except MotionkitError as error:
                 assert str(error).startswith(
                     f"{tmp_path / 'one.json'}: not the results of"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motionkit.lab.scoreboard.accuracy import TypeAccuracy, accuracy_section, is_shown, measure_accuracy
+from motionkit.lab.scoreboard.accuracy import TypeAccuracy, accuracy_section, is_reached, measure_accuracy
 from motionkit.lab.scoreboard.settings import EvaluationSettings
 from motionkit.metrics.body import Body, body_of
 from motionkit.metrics.detectors import DETECTORS
@@ -79,7 +79,7 @@ def test_every_type_is_commanded_with_every_seed(
     assert lengths == 8 * [round(1.5 * tiny_model.fps)], (
         "only what follows the command is judged, raw motion too"
     )
-    assert [(each.rollouts, each.shown, each.share) for each in found] == [(2, 2, 1.0), (2, 0, 0.0)]
+    assert [(each.rollouts, each.detected, each.share) for each in found] == [(2, 2, 1.0), (2, 0, 0.0)]
     assert found[0].training_clips == 2 and found[1].training_clips == 1
 
 
@@ -103,4 +103,4 @@ def test_a_type_that_is_too_slow_in_the_mean_is_not_shown(
     if not detector:
         monkeypatch.delitem(DETECTORS, "cartwheel")
     each = TypeAccuracy("cartwheel", 20, share, None, speed, 9)
-    assert is_shown(Judge(real), each) == shown
+    assert is_reached(Judge(real), each) == shown

@@ -91,7 +91,7 @@ def test_a_detector_that_fits_two_types_judges_neither(
 
 
 def test_judging_by_own_clips_leaves_detectors_aside(renamed_trial: Trial) -> None:
-    assert Judge(renamed_trial.real, own_clips=True).detector("Rad") is None
+    assert Judge(renamed_trial.real, by_recordings=True).detector("Rad") is None
     assert renamed_trial.judge.detector("Rad") is not None
 
 

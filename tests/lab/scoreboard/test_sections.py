@@ -11,7 +11,7 @@ import pytest
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import shape_path
 from motionkit.data.dataset import Dataset
-from motionkit.lab.scoreboard.board import evaluate_model
+from motionkit.lab.scoreboard.board import evaluate
 from motionkit.lab.scoreboard.classes import classes_section
 from motionkit.lab.scoreboard.limits import acceleration_limit, turn_limit
 from motionkit.lab.scoreboard.paths import leaning, path_trials, paths_section, speed_trials, steered_types
@@ -128,7 +128,7 @@ def test_speed_trials_ask_for_their_speeds() -> None:
     for trial in speed_trials("walking", "running", "idle"):
         asked = [part.speed for part in trial.path.parts][: len(trial.speeds)]
         assert asked == pytest.approx([speed * 100.0 for speed in trial.speeds]), trial.name
-        assert sum(seconds for _, seconds in trial.path.stops) == trial.stands, trial.name
+        assert sum(part.stop for part in trial.path.parts) == trial.stop_seconds, trial.name
 
 
 def test_a_body_that_leans_into_a_curve_is_seen() -> None:
@@ -315,7 +315,7 @@ def test_types_are_judged_only_on_request(
     monkeypatch.setattr("motionkit.training.verdict.types.WALK_RADIUS", 0.5)
     monkeypatch.setattr("motionkit.training.verdict.types.RUN_RADIUS", 1.0)
     settings = replace(TINY, seeds=1, repeats=1, accuracy_seconds=2.0)
-    board = evaluate_model(tiny_model, dataset, settings, ["types"])
+    board = evaluate(dataset, model=tiny_model, settings=settings, only=["types"])
     (section,) = board.sections
     assert section.name == "types" and len(section.goals) == len(section.tables[0].rows)
 

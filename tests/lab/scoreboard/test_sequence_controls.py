@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from motionkit.control.opening import last_poses
+from motionkit.control.character_start import last_poses
 from motionkit.control.recording_choice import frames_behind
 from motionkit.data.dataset import ClipData, Dataset
 from motionkit.features.control import TRAJECTORY_OFFSETS, future_trajectory
-from motionkit.lab.scoreboard.sequence_controls import SequenceControls
+from motionkit.lab.scoreboard.reconstruction import SequenceControls
 from motionkit.models.model import MotionModel
 from motionkit.motion.rotations import rotate_ground
 

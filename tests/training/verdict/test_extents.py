@@ -26,7 +26,7 @@ def test_values_are_compared_with_the_clips_and_told_in_words(
     extent = Extent(BY_NAME[does], *recorded)
     assert {value: extent.excess(value) == 0.0 for value in within} == within
     assert extent.excess(float("nan")) == float("inf")
-    assert extent.told(next(iter(within))) == f"{does} {words}"
+    assert extent.described(next(iter(within))) == f"{does} {words}"
 
 
 def _raised(body: Body) -> Body:

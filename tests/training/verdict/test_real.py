@@ -59,8 +59,8 @@ def test_calibration_counts_every_stretch_for_its_own_type(real: RealMotion) -> 
     kinds = ("idle", "walking", "cartwheel")
     found = {c.type: c for c in calibrate(Judge(real), kinds)}
     assert set(found) == set(kinds)
-    assert found["idle"].shown == found["idle"].windows > 0
-    assert all(bool(c.failing) == (c.shown < c.windows) for c in found.values())
+    assert found["idle"].accepted == found["idle"].windows > 0
+    assert all(bool(c.failing) == (c.accepted < c.windows) for c in found.values())
     assert found["cartwheel"].share == 1.0 and found["cartwheel"].windows == len(real.of_type("cartwheel"))
     assert "walking" not in found["walking"].others
     assert "idle" not in found["walking"].others

@@ -78,7 +78,7 @@ def test_feet_may_slide_as_much_as_in_one_of_the_clips(dataset: Dataset, most: f
 
 def test_a_stand_before_a_performance_is_not_taken_for_it(dataset: Dataset) -> None:
     """Even where standing is within what the clips show."""
-    judge = Judge(RealMotion(dataset), own_clips=True)
+    judge = Judge(RealMotion(dataset), by_recordings=True)
     kind = next(k for k in judge.real.types if (p := judge.real.profile(k)) is not None and p.performance)
     body = judge.real.of_type(kind, "train")[0].body
     still = [np.repeat(x[:1], 90, axis=0) for x in (body.rotations, body.positions, body.heading)]

@@ -1,5 +1,7 @@
 // Writes a recording as a BVH file, with as many digits as motion/bvh.py, which made the hierarchy text.
 
+import { Euler, Quaternion } from "three";
+
 const DEGREES = 180 / Math.PI;
 
 /** The text of a BVH file. @param {{hierarchy: string, order: number[]}} bvh joints in channel order @param {{root: Float32Array, rotations: Float32Array}[]} frames in cm */
@@ -19,9 +21,8 @@ export function bvhText({ hierarchy, order }, frames, fps) {
 
 // Angles about Z, Y and X of a quaternion; of the two equivalent triples, the one closer to the previous frame's.
 function eulers([w, x, y, z], before) {
-  const [a00, a10] = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z)];
-  const last = Math.atan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y));
-  const first = [Math.atan2(a10, a00), Math.atan2(2 * (w * y - z * x), Math.hypot(a00, a10)), last];
+  const turn = new Euler().setFromQuaternion(new Quaternion(x, y, z, w).normalize(), "ZYX");
+  const first = [turn.z, turn.y, turn.x];
   if (!before) return first;
   const second = [first[0] + Math.PI, Math.PI - first[1], first[2] + Math.PI];
   const near = (angles) => angles.map((angle, n) => angle + 2 * Math.PI * Math.round((before[n] - angle) / (2 * Math.PI)));

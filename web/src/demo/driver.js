@@ -3,16 +3,16 @@
 import { free, typeNumber } from "./kernel.js";
 import { Follower } from "./path.js";
 import { FirstSteps, Player } from "./player.js";
-import { Springs, nearestWish, steeredType } from "./springs.js";
 
 const [BLEND, DEFAULT_SECONDS] = [12, 2]; // frames of a change of type; default seconds of a performance
 const NOTHING = { velocity: [0, 0], facing: null, type: null };
 
 export class Driver {
-  /** @param {object} model result of readModel @param {number} choice chooses among recordings */
-  constructor(model, choice = 0) {
+  /** @param {import("./kernel.js").Character} body what is driven @param {number} choice chooses among recordings */
+  constructor(body, choice = 0) {
+    const { model } = body;
     const type = typeNumber(model, model.start);
-    Object.assign(this, { model, choice, wish: NOTHING, type, springs: new Springs(model), player: new Player(model, choice), played: -1 });
+    Object.assign(this, { body, model, choice, wish: NOTHING, type, player: new Player(model, choice), played: -1 });
     Object.assign(this, { follower: null, performance: null, waiting: null, firstSteps: new FirstSteps(model, choice) });
     this.weights = free(model, type).weights;
     Object.assign(this, { from: this.weights, target: type, blended: BLEND });
@@ -28,7 +28,7 @@ export class Driver {
   /** Follows a path (arguments as for Follower); the character stands at its end. */
   follow(path) {
     this.#known(path.type);
-    this.follower = new Follower(this.model, path, this.choice);
+    this.follower = new Follower(this.body, path, this.choice);
     this.wish = NOTHING;
   }
 
@@ -38,14 +38,14 @@ export class Driver {
     this.waiting = [typeNumber(this.model, type), seconds, choice];
   }
 
-  /** The controls of a frame for a body at [x, z, heading]; frame must increase by one per call. */
-  controls(frame, ground) {
+  /** The controls of a frame; it must increase by one per call. */
+  controls(frame) {
     this.#takeTurns(frame);
-    const shown = this.performance;
-    this.springs.observe(...ground, this.wish.velocity === null || this.follower !== null || shown !== null);
-    let [kind, asked] = this.follower ? this.#follow(ground) : this.#steer();
-    if (shown) [kind, asked] = this.#show(shown, frame, kind, asked);
-    return { ...asked, weights: this.#blend(kind, asked.weights) };
+    const { performance } = this;
+    this.body.observe(this.wish.velocity === null || this.follower !== null || performance !== null);
+    let [kind, controls] = this.follower ? this.#follow() : this.#steer();
+    if (performance) [kind, controls] = this.#show(performance, frame, kind, controls);
+    return { ...controls, weights: this.#blend(kind, controls.weights) };
   }
 
   // Ends a finished performance, begins the next one, or repeats the performance that the wish holds.
@@ -60,7 +60,7 @@ export class Driver {
     const [type, seconds, choice] = this.waiting;
     this.waiting = null;
     const player = new Player(model, choice);
-    player.begin(type, Math.hypot(...this.springs.velocity));
+    player.begin(type, this.body.speed);
     const length = player.track?.performance || Math.max(1, Math.round((model.types[type].seconds || seconds) * model.fps));
     // The blend is half done at the performance's first frame, as in training.
     const begins = over && over.type === type ? frame : frame + BLEND / 2;
@@ -68,54 +68,45 @@ export class Driver {
   }
 
   #steer() {
-    const { model, wish } = this;
-    const { velocity } = wish;
-    const kind = wish.type === null ? steeredType(model, velocity ?? [0, 0], wish.facing) : typeNumber(model, wish.type);
+    const { body, model, wish } = this;
+    const { velocity, facing } = wish;
+    const kind = wish.type === null ? body.suited(velocity ?? [0, 0], facing) : typeNumber(model, wish.type);
     if (velocity === null) return this.#recorded(kind);
-    let { facing } = wish;
-    if (facing === null && Math.hypot(...velocity) >= model.steering.stands_below) facing = Math.atan2(...velocity) - (model.types[kind].gait?.facing ?? 0);
-    const [nearest, turned] = nearestWish(model, model.types[kind], velocity, facing);
-    const slip = this.springs.settled(nearest);
-    const trajectory = this.springs.trajectory(nearest, turned);
+    const { trajectory, slip } = body.steer(kind, velocity, facing);
     if (!model.types[kind].steered) return this.#recorded(kind, trajectory);
     this.played = -1;
-    if (this.#goesFromStanding(kind)) this.firstSteps.begin(kind, Math.hypot(...nearest));
-    return [kind, this.firstSteps.shown(kind, { ...free(model, kind), trajectory, slip })];
-  }
-
-  // Whether the character starts a gait from standing in this frame.
-  #goesFromStanding(kind) {
-    const { types } = this.model;
-    return !types[kind].stands && this.target !== null && types[this.target].stands;
+    const stood = this.target !== null && model.types[this.target].stands;
+    if (stood && !model.types[kind].stands) this.firstSteps.begin(kind, Math.hypot(...velocity));
+    return [kind, this.firstSteps.reference(kind, { ...free(model, kind), trajectory, slip })];
   }
 
   // The controls of a type with reference recordings.
   #recorded(kind, trajectory = null) {
-    if (kind !== this.played) this.player.begin(kind, Math.hypot(...(trajectory ? this.wish.velocity : this.springs.velocity)));
+    if (kind !== this.played) this.player.begin(kind, this.body.speed);
     this.played = kind;
-    const asked = this.player.next(trajectory);
-    return [kind, trajectory ? asked : { ...asked, trajectory: null }];
+    const controls = this.player.next(trajectory);
+    return [kind, trajectory ? controls : { ...controls, trajectory: null }];
   }
 
   // The controls of a path; its target is null, so that leaving the path blends.
-  #follow(ground) {
-    const asked = this.follower.controls(ground);
+  #follow() {
+    const controls = this.follower.controls(this.body.ground);
     if (this.follower.arrived) Object.assign(this, { follower: null, wish: NOTHING });
-    return [null, asked];
+    return [null, controls];
   }
 
   // The controls of a performance. Before its first frame and near its end, only part of them apply.
-  #show(shown, frame, kind, otherwise) {
-    const at = frame - shown.begins;
+  #show(performance, frame, kind, otherwise) {
+    const at = frame - performance.begins;
     const { trajectory, slip } = otherwise;
-    if (at < 0) return [shown.type, { ...free(this.model, shown.type), trajectory, slip }];
-    let asked = { ...shown.controls[at], slip };
-    if (at < shown.controls.length - BLEND / 2) kind = shown.type;
-    else asked.weights = otherwise.weights;
+    if (at < 0) return [performance.type, { ...free(this.model, performance.type), trajectory, slip }];
+    let controls = { ...performance.controls[at], slip };
+    if (at < performance.controls.length - BLEND / 2) kind = performance.type;
+    else controls.weights = otherwise.weights;
     // A standing character can travel during a performance; a moving one keeps its trajectory.
-    const moves = this.follower !== null || Math.hypot(...(this.wish.velocity ?? [0, 0])) >= this.model.steering.stands_below;
-    if (!asked.trajectory && moves) asked = { ...asked, trajectory };
-    return [kind, asked];
+    const moves = this.follower !== null || Math.hypot(...(this.wish.velocity ?? [0, 0])) >= this.model.stands_below;
+    if (!controls.trajectory && moves) controls = { ...controls, trajectory };
+    return [kind, controls];
   }
 
   // Type weights, blended linearly to the goal within BLEND frames of a change of kind.

@@ -7,7 +7,6 @@ import { findJoints } from "./joints.js";
 import { rigOf } from "./rig.js";
 
 const CM = 0.01;
-const SMOOTH = 6; // frames before and after, over which feet below the floor raise the body
 const [MAGIC, JSON_CHUNK, BIN_CHUNK] = [0x46546c67, 0x4e4f534a, 0x004e4942];
 
 /** The body of a character's file for LocalLink: its rig for the page, and offsets for the kernels; throws a line for the user. */
@@ -23,11 +22,11 @@ export async function heroBody(file, usual, tables) {
   const read = await readCharacter(bytes).catch((error) => {
     throw new Error(`it cannot be read (${error.message})`);
   });
-  const { data, offsets, map } = rigOf(read, joints, tables);
-  return { ...usual, offsets: offsets.map((cm) => cm * CM), body: null, hero: { ...data, bytes: () => bytes }, kernel: offsets, map };
+  const { data, kernel, map } = rigOf(read, joints, tables);
+  return { ...usual, offsets: kernel.offsets.map((cm) => cm * CM), body: null, hero: { ...data, bytes: () => bytes }, kernel, map };
 }
 
-/** The bytes of the character's file with frames (cm) as one animation more; no foot is lower than it stands. */
+/** The bytes of the character's file with frames (cm) as one animation more. */
 export async function heroBytes(body, frames, fps) {
   const rig = await Rig.from(body);
   const hero = await rig.newHero();
@@ -35,14 +34,8 @@ export async function heroBytes(body, frames, fps) {
   const pose = rig.newPose();
   const turning = new Map([...body.hero.drives.map(([node]) => node), ...body.hero.twists.flatMap(({ shares }) => shares.map(([node]) => node))].map((node) => [node, []]));
   const moving = new Map(body.hero.moves.map(([node]) => [node, []]));
-  const show = ({ root: [x, y, z], rotations }, raised) => hero.setPose(pose.set(rig, rotations, 0, [x * CM, y * CM + raised, z * CM], 0));
-  const depths = frames.map((frame) => {
-    show(frame, 0);
-    return body.hero.standing - Math.min(...body.hero.feet.map((node) => hero.nodes[node].getWorldPosition(new Vector3()).y));
-  });
-  const raises = smoothed(depths);
-  for (const [n, frame] of frames.entries()) {
-    show(frame, raises[n]);
+  for (const { root, rotations } of frames) {
+    hero.setPose(pose.set(rig, rotations, 0, root.map((cm) => cm * CM), 0));
     for (const [node, values] of turning) {
       const now = hero.nodes[node].quaternion.toArray();
       const along = now.reduce((sum, value, n) => sum + value * (values.at(n - 4) ?? 1), 0);
@@ -53,13 +46,6 @@ export async function heroBytes(body, frames, fps) {
   hero.dispose();
   const tracks = [...[...turning].map(([node, values]) => [node, "rotation", values]), ...[...moving].map(([node, values]) => [node, "translation", values])];
   return added(body.hero.bytes(), tracks, fps);
-}
-
-// Smooth numbers that are nowhere below the given ones, or below zero.
-function smoothed(values) {
-  const around = (list, n) => list.slice(Math.max(0, n - SMOOTH), n + SMOOTH + 1);
-  const most = values.map((_, n) => Math.max(0, ...around(values, n)));
-  return most.map((_, n) => around(most, n).reduce((sum, value) => sum + value, 0) / around(most, n).length);
 }
 
 // The JSON of a binary glTF file and its other chunks.

@@ -7,8 +7,8 @@ export function findJoints({ nodes = [], skins = [], extensions = {} }, { bones 
   const order = [];
   const visit = (node) => [order.push(node), nodes[node].children?.forEach(visit)];
   nodes.forEach((_, node) => above[node] < 0 && visit(node));
-  const told = (extensions.VRMC_vrm ?? extensions.VRM)?.humanoid?.humanBones ?? {};
-  const table = Array.isArray(told) ? Object.fromEntries(told.map(({ bone, node }) => [bone, node])) : Object.fromEntries(Object.entries(told).map(([bone, entry]) => [bone, entry?.node]));
+  const humanBones = (extensions.VRMC_vrm ?? extensions.VRM)?.humanoid?.humanBones ?? {};
+  const table = Array.isArray(humanBones) ? Object.fromEntries(humanBones.map(({ bone, node }) => [bone, node])) : Object.fromEntries(Object.entries(humanBones).map(([bone, entry]) => [bone, entry?.node]));
   const avatar = Object.entries(bones).filter(([bone]) => nodes[table[bone]]).map(([bone, ours]) => [ours, table[bone]]);
   const named = [...avatar.map(([, node]) => node), ...skins.flatMap(({ joints }) => joints)];
   const wanted = new Set(named.length ? named : order.filter((node) => nodes[node].mesh === undefined));

@@ -5,6 +5,7 @@
 
 
 const PAGE = 65536; // bytes of a page of WebAssembly memory
+const ROUTE = 32 * PAGE; // bytes for a character's path
 const NEITHER = () => 0;
 
 export class Kernel {
@@ -18,7 +19,8 @@ export class Kernel {
     kernel.size = roundUp(own.length, 64);
     kernel.first = roundUp(model.base + shared.length, 64);
     kernel.scratch = kernel.first + most * kernel.size;
-    const bytes = kernel.scratch + 4 * PAGE; // before the call of scratch_size, which needs its memory
+    kernel.routes = kernel.scratch + 4 * PAGE;
+    const bytes = kernel.routes + most * ROUTE; // before the call of scratch_size, which needs its memory
     exports.memory.grow(Math.max(0, Math.ceil((bytes - exports.memory.buffer.byteLength) / PAGE)));
     kernel.bytes().set(shared, model.base);
     const scratch = 4 * Number(exports.scratch_size(model.addresses.program, 1n));
@@ -36,7 +38,8 @@ export class Character {
   /** @param {Kernel} kernel @param {number} slot index among the characters @param {(out: Float32Array) => void} normals fills an array with standard normal numbers */
   constructor(kernel, slot, normals) {
     const { model } = kernel;
-    Object.assign(this, { kernel, model, normals, at: kernel.first + slot * kernel.size });
+    Object.assign(this, { kernel, model, normals, at: kernel.first + slot * kernel.size, route: kernel.routes + slot * ROUTE });
+    this.steering = this.at + model.addresses.steering;
     const { features, contacts, controls } = model;
     const floats = (name, count, type = Float32Array) => new type(kernel.run.memory.buffer, this.at + model.addresses[name], count);
     this.row = features + contacts + 1;
@@ -53,7 +56,9 @@ export class Character {
     this.root = floats("root", 3);
     this.positions = floats("positions", 69);
     this.offsets = floats("offsets", 69);
+    this.soles = { points: floats("soles_points", 12 * model.fields.sole_points), counts: floats("soles_counts", 4, BigInt64Array), floor: floats("soles_floor", 1) };
     this.words = new DataView(kernel.run.memory.buffer, this.at);
+    this.trajectory = new Float32Array(kernel.run.memory.buffer, this.steering + model.fields.trajectory, 24);
     this.noiseSize = null;
   }
 
@@ -69,6 +74,19 @@ export class Character {
     this.smooth.set(this.noise);
   }
 
+  /** Puts on a body of rigOf, or leaves that of start if there is none: its offsets, and its soles if they are known. */
+  wear(body) {
+    if (!body) return;
+    this.offsets.set(body.offsets);
+    const { points, counts, floor } = this.soles;
+    counts.fill(0n);
+    body.soles.forEach((part, n) => {
+      points.set(part.flat(), 3 * n * this.model.fields.sole_points);
+      counts[n] = BigInt(part.length);
+    });
+    floor[0] = body.floor;
+  }
+
   /** Sets the noise temperature, in standard deviations. */
   set temperature(size) {
     this.noiseSize = size;
@@ -81,13 +99,34 @@ export class Character {
     return [Math.fround(place[0] + carry[0]), Math.fround(place[1] + carry[1]), place[2]];
   }
 
+  /** Records the body's place for steering, once per frame; free: nobody steers, so its springs follow the body. */
+  observe(free) {
+    this.kernel.run.observe(this.steering, ...this.ground, free);
+  }
+
+  /** The speed of the springs in cm/s. */
+  get speed() {
+    return this.kernel.run.spring_speed(this.steering);
+  }
+
+  /** The index of the type for a requested velocity [x, z] (cm/s) and facing (radians, null for any). */
+  suited(velocity, facing) {
+    return this.kernel.run.steered_type(this.steering, ...velocity, facing ?? NaN);
+  }
+
+  /** The trajectory of a type, by its index, for a request, and the factor on the root-slip correction. */
+  steer(type, velocity, facing) {
+    const slip = this.kernel.run.steer(this.steering, type, ...velocity, facing ?? NaN);
+    return { trajectory: this.trajectory.slice(), slip };
+  }
+
   /** Computes one frame from controls of Driver; the results are in rotations, root, positions and contacts. */
-  step(asked) {
+  step(controls) {
     const { kernel, model, mean } = this;
     // The root-slip correction acts on all bodies but standing ones, like root_hold in Python.
-    const moving = model.types.reduce((sum, type, i) => (type.stands ? sum : sum + asked.weights[i]), 0);
-    this.feet_hold[0] = asked.slip * moving;
-    const share = this.#ask(asked);
+    const moving = model.types.reduce((sum, type, i) => (type.stands ? sum : sum + controls.weights[i]), 0);
+    this.feet_hold[0] = controls.slip * moving;
+    const share = this.#ask(controls);
     this.#step();
     for (let n = 0; n < model.features; n++) mean[model.features + n] += share;
     this.normals(this.fresh);
@@ -115,9 +154,9 @@ export class Character {
     }
     if (gain > 0) {
       const { reference_gains: gains, reference_matrix: matrix, reference_constant: constant } = arrays;
-      const shown = Float64Array.from(constant);
-      for (let n = 0; n < x.length; n++) for (let k = 0; k < 72; k++) shown[k] += x[n] * matrix[n * 72 + k];
-      for (let k = 0; k < 72; k++) out[columns.reference + k] = gain * (gains[k] * reference[k] - shown[k]);
+      const present = Float64Array.from(constant);
+      for (let n = 0; n < x.length; n++) for (let k = 0; k < 72; k++) present[k] += x[n] * matrix[n * 72 + k];
+      for (let k = 0; k < 72; k++) out[columns.reference + k] = gain * (gains[k] * reference[k] - present[k]);
       out[columns.gain] = 1;
     }
     this.velocity_blend[0] = presets[1];

@@ -28,7 +28,7 @@ export class LocalLink {
     this.replayed = [...replayed];
     this.period = 1 / model.fps;
     this.hello = {
-      client: CLIENT, character: 1, fps: model.fps, limits: LIMITS, recording_format: "bvh", characters: this.#told(), bodies: [{ name: "default" }],
+      client: CLIENT, character: 1, fps: model.fps, limits: LIMITS, recording_format: "bvh", characters: this.#facts(), bodies: [{ name: "default" }],
       types: model.types.map(({ name, gait, seconds }) => ({ name, speed: gait?.speed ?? 0, facing: gait?.facing ?? 0, seconds })),
       steered: model.types.filter(({ steered }) => steered).map(({ name }) => name),
     };
@@ -99,13 +99,13 @@ export class LocalLink {
     while (this.replayed.length && this.replayed[0][0] <= this.world.frame) this.#obey(this.replayed.shift()[1]);
   }
 
-  #obey(asked) {
+  #obey(request) {
     try {
-      this.world.obey(asked);
+      this.world.obey(request);
     } catch (error) {
       this.listeners.event({ event: "error", message: error.message });
     }
-    if (["add", "remove", "noise"].includes(asked.do)) this.#changed();
+    if (["add", "remove", "noise"].includes(request.do)) this.#changed();
   }
 
   #wear(character, name) {
@@ -114,10 +114,10 @@ export class LocalLink {
   }
 
   #changed() {
-    this.listeners.event({ event: "characters", characters: this.#told() });
+    this.listeners.event({ event: "characters", characters: this.#facts() });
   }
 
-  #told() {
+  #facts() {
     return [...this.world.characters.values()].map(({ number, recorded, temperature, worn }) => ({
       id: number, body: worn, owner: CLIENT, recording: Boolean(recorded), noise: "correlated", temperature,
     }));
@@ -132,7 +132,7 @@ export class LocalLink {
     if (on || !recorded?.length) return;
     const { fps, bvh } = this.model;
     const seconds = recorded.length / fps;
-    if (one.offsets) {
+    if (one.own) {
       const format = one.worn.split(".").at(-1).toLowerCase();
       heroBytes(this.bodies[one.worn], recorded, fps).then(
         (content) => this.listeners.event({ event: "recorded", character, url: addressOf(content), format, seconds }),

@@ -19,11 +19,11 @@ let damaged = false;
 const replayed = readAddress(location.href).catch(() => ((damaged = true), null));
 addEventListener("hashchange", () => location.reload()); // another link, opened in the same tab
 
-async function fetched(name, told = () => {}) {
+async function fetched(name, report = () => {}) {
   const answer = await fetch(name);
   if (!answer.ok) throw new Error(`${name} is missing (${answer.status})`);
   let got = 0;
-  const counted = new TransformStream({ transform: (chunk, out) => [told((got += chunk.length)), out.enqueue(chunk)] });
+  const counted = new TransformStream({ transform: (chunk, out) => [report((got += chunk.length)), out.enqueue(chunk)] });
   return new Response(answer.body.pipeThrough(counted)).arrayBuffer();
 }
 

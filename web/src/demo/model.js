@@ -1,11 +1,13 @@
 // Reads the model file of page_model.py: a header, and deflated arrays with reordered bytes.
 
+import { through } from "../lib/pack.js";
+
 /** The header of the file, and its arrays by name: bytes as Uint8Array, numbers as Float32Array. */
 export async function readModel(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const model = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
   const read = async ([name, { type, columns, from, to }]) => {
-    const bytes = unsorted(await inflated(new Uint8Array(buffer, 4 + length + from, to - from)), 2);
+    const bytes = unsorted(new Uint8Array(await through(new DecompressionStream("deflate"), new Uint8Array(buffer, 4 + length + from, to - from))));
     if (type === "steps") return [name, summed(new Int16Array(bytes.buffer), columns, model.step)];
     return [name, type === "f4" ? new Float32Array(bytes.buffer) : bytes];
   };
@@ -13,17 +15,9 @@ export async function readModel(buffer) {
   return model;
 }
 
-async function inflated(bytes) {
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
-}
-
-// Restores numbers of `width` bytes from all first bytes, then all second bytes, and so on.
-function unsorted(bytes, width) {
-  const count = bytes.length / width;
-  const out = new Uint8Array(bytes.length);
-  for (let k = 0; k < width; k++) for (let i = 0; i < count; i++) out[width * i + k] = bytes[k * count + i];
-  return out;
+// Restores numbers of two bytes from all first bytes, then all second ones.
+function unsorted(bytes) {
+  return bytes.map((_, n) => bytes[(n % 2) * (bytes.length / 2) + (n >> 1)]);
 }
 
 // Restores rows of numbers from columns of integer differences, in units of step.

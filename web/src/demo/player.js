@@ -1,8 +1,8 @@
 // Plays the precomputed tracks of page_tracks.py, with the results of Python's ReferencePlayer.
 
 import { free } from "./kernel.js";
-import { TRAJECTORY } from "./springs.js";
 
+const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead of the present one
 const WIDTH = 24; // numbers per pose
 const AHEAD = [0, 10, 25]; // rows ahead of a frame whose poses are its reference, each 5 frames further: 5, 15 and 30 frames
 const [FADE, PAUSE, FIRST_STEPS] = [30, 20, 45]; // frames: crossfade between tracks, pause between performances, first steps of a gait
@@ -27,17 +27,12 @@ export class Player {
     this.left = left && !performed ? { track: left, at: leftAt } : null;
   }
 
-  /** Drops the current track, because the body has moved independently of it. */
-  forget() {
-    Object.assign(this, { track: null, left: null });
-  }
-
   /** The controls of the next frame; wanted is the requested trajectory or null. */
   next(wanted = null) {
     const { at, left, model, track, type } = this;
-    const asked = free(model, type);
+    const controls = free(model, type);
     this.at += 1;
-    if (!track) return { ...asked, phase: this.#clock(at), trajectory: wanted };
+    if (!track) return { ...controls, phase: this.#clock(at), trajectory: wanted };
     let reference = this.#poses(track, at);
     if (left && at < FADE) reference = mixed(this.#poses(left.track, left.at + at), reference, at / FADE);
     let trajectory = wanted;
@@ -45,7 +40,7 @@ export class Player {
       const own = this.#trajectory(track, at % track.frames);
       trajectory = wanted ? mixed(wanted, own, this.ownShare) : own;
     }
-    return { ...asked, reference, gain: model.types[type].gain, phase: model.arrays.phases[track.from + (at % track.frames)], trajectory };
+    return { ...controls, reference, gain: model.types[type].gain, phase: model.arrays.phases[track.from + (at % track.frames)], trajectory };
   }
 
   // The phase of a type without tracks: repeated performances with pauses in between.
@@ -88,21 +83,21 @@ export class FirstSteps {
 
   /** Starts a gait, by its index, from standing at a speed in cm/s. */
   begin(type, speed) {
-    this.player.forget();
+    this.player.track = null; // the body has moved independently of it
     this.player.begin(type, speed);
     this.left = FIRST_STEPS;
   }
 
   /** The controls of the next frame of a gait, with a reference during its first steps. */
-  shown(type, asked) {
-    if (type !== this.player.type || this.left === 0) return asked;
+  reference(type, controls) {
+    if (type !== this.player.type || this.left === 0) return controls;
     this.left -= 1;
-    const { reference, gain } = this.player.next(asked.trajectory);
-    return { ...asked, reference, gain };
+    const { reference, gain } = this.player.next(controls.trajectory);
+    return { ...controls, reference, gain };
   }
 }
 
 /** The mean speed (cm/s) of a requested trajectory, from the distance to its last position. */
-export const askedSpeed = (trajectory, fps) => (Math.hypot(trajectory[10], trajectory[11]) * fps) / TRAJECTORY[5];
+export const trajectorySpeed = (trajectory, fps) => (Math.hypot(trajectory[10], trajectory[11]) * fps) / TRAJECTORY[5];
 
 const mixed = (a, b, share) => a.map((value, n) => value + share * (b[n] - value));

@@ -3,6 +3,7 @@
 
 import { Matrix4, Quaternion, Vector3 } from "three";
 import { mapJoints } from "./joints.js";
+import { solesOf } from "./soles.js";
 
 const CM = 0.01;
 const UP = new Vector3(0, 1, 0);
@@ -14,7 +15,7 @@ const angle = (a, b) => DEGREES * a.angleTo(b);
 const product = (...turns) => turns.reduce((all, turn) => all.multiply(turn), new Quaternion());
 
 /**
- * The data of character_data.py for live motion on a character, and the offsets (23 × 3, cm) of its body for the kernels.
+ * The data of character_data.py for live motion on a character, and of its body for the kernels: offsets (23 × 3) and soles, in cm.
  * @param {object} read result of readCharacter @param {object} joints of findJoints @param {object} tables of on_rig.py's rig_tables
  */
 export function rigOf(read, joints, tables) {
@@ -35,10 +36,11 @@ export function rigOf(read, joints, tables) {
   });
   const twists = rest.twists(path, (joint, way) => rotated(world(objects[joint].parent).invert(), way).toArray());
   const moves = [[joints.nodes[top], joints.nodes[map.Hips], 0]];
-  const { raised, lift, offsets, part, standing } = rest.stand();
-  const feet = ["Left", "Right"].flatMap((side) => joints.nodes[map[side + part]] ?? []);
-  const data = { scale: rest.scale * CM, turn: [1, 0, 0, 0], drives, moves, twists, raised: raised.multiplyScalar(CM).toArray(), lift: [0, lift * CM, 0], feet, standing: standing * CM };
-  return { data, offsets, map: Object.fromEntries(Object.entries(map).map(([name, joint]) => [name, joints.names[joint]])) };
+  const { raised, offsets, part, expected, standing } = rest.stand();
+  const soles = solesOf(read, joints, rest, part);
+  const lift = (soles ? soles.depth : standing) - expected;
+  const data = { scale: rest.scale * CM, turn: [1, 0, 0, 0], drives, moves, twists, raised: raised.multiplyScalar(CM).toArray(), lift: [0, lift * CM, 0] };
+  return { data, kernel: { offsets, soles: soles?.parts ?? [], floor: -lift }, map: Object.fromEntries(Object.entries(map).map(([name, joint]) => [name, joints.names[joint]])) };
 }
 
 class RestPose {
@@ -201,7 +203,7 @@ class RestPose {
     return out;
   }
 
-  /** The body's offsets (cm, 23 × 3) raised to its feet, how far it was raised, the lift of the whole, and how high which part of standing feet is. */
+  /** The body's offsets (cm, 23 × 3) raised to its feet, how far it was raised, and how high which part of standing feet is expected and is. */
   stand() {
     const { tables, offsets: usual } = this;
     const number = (name) => tables.names.indexOf(name);
@@ -217,7 +219,7 @@ class RestPose {
     const [low, high] = tables.plausible[part];
     const height = feet.length === 2 && shown >= low && shown <= high ? shown : expected;
     const standing = Math.max(height, ...["Left", "Right"].map((side) => this.#depth(side, part)));
-    return { offsets: Float32Array.from(body.flatMap((offset) => offset.toArray())), raised, lift: standing - expected, part, standing };
+    return { offsets: Float32Array.from(body.flatMap((offset) => offset.toArray())), raised, part, expected, standing };
   }
 
   #offset(name, joint) {

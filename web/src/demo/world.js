@@ -4,13 +4,11 @@
 
 import { Character, normals } from "./kernel.js";
 import { Driver } from "./driver.js";
-import { steeredType } from "./springs.js";
 
 const BETWEEN = 120; // cm between start positions
 const TEMPERATURE = 0.05; // standard deviations, default noise
-const LIKELY = 0.5; // probability above which a foot joint counts as in contact
 const JOINS_WITHIN = 30; // cm; a path that begins further away is extended by a line from the character
-const LONGEST_PATH = 50_000; // cm
+const MOST_CORNERS = 5000; // points of a requested path
 export const MOST = 20; // characters
 
 export class World {
@@ -21,28 +19,28 @@ export class World {
   }
 
   /** Carries out a request {do, character, ...} (docs/live.md); throws if it is impossible. */
-  obey(asked) {
-    const number = asked.character ?? this.characters.keys().next().value;
+  obey(request) {
+    const number = request.character ?? this.characters.keys().next().value;
     const one = this.characters.get(number);
-    if (!one && asked.do !== "add") throw new Error(`there is no character ${number}`);
-    check(asked); // links may contain anything
-    if (asked.do === "add") this.#add();
-    else if (asked.do === "wish") one.driver.set(asked);
-    else if (asked.do === "perform") one.driver.perform(asked.type, this.frame, asked.seconds);
-    else if (asked.do === "path") one.driver.follow(this.#path(asked, one.body.ground));
-    else if (asked.do === "stroll") one.driver.follow(this.#path({ points: figureEight(250, 12) }, one.body.ground));
-    else if (asked.do === "noise") one.body.temperature = one.temperature = asked.temperature;
-    else if (asked.do === "reset") this.#start(one);
-    else if (asked.do === "remove") this.characters.delete(number);
-    else throw new Error(`cannot do ${asked.do}`);
-    this.done.push([this.frame, asked]);
+    if (!one && request.do !== "add") throw new Error(`there is no character ${number}`);
+    check(request); // links may contain anything
+    if (request.do === "add") this.#add();
+    else if (request.do === "wish") one.driver.set(request);
+    else if (request.do === "perform") one.driver.perform(request.type, this.frame, request.seconds);
+    else if (request.do === "path") one.driver.follow(this.#path(request, one));
+    else if (request.do === "stroll") one.driver.follow(this.#path({ points: figureEight(250, 12) }, one));
+    else if (request.do === "noise") one.body.temperature = one.temperature = request.temperature;
+    else if (request.do === "reset") this.#start(one);
+    else if (request.do === "remove") this.characters.delete(number);
+    else throw new Error(`cannot do ${request.do}`);
+    this.done.push([this.frame, request]);
   }
 
-  /** Puts another body on a character, where it is: its name and offsets (69 numbers in cm, null for the model's). */
-  wear(number, worn, offsets) {
+  /** Puts another body on a character, where it is: its name, and its kernel's data by rigOf, null for the model's. */
+  wear(number, worn, own) {
     const one = this.characters.get(number);
     if (one.worn === worn) return;
-    Object.assign(one, { worn, offsets });
+    Object.assign(one, { worn, own });
     this.#start(one, one.body.ground);
   }
 
@@ -54,7 +52,7 @@ export class World {
     for (const [number, one] of this.characters) {
       const { body, driver } = one;
       const followed = driver.follower;
-      body.step(driver.controls(this.frame, body.ground));
+      body.step(driver.controls(this.frame));
       if (!Number.isFinite(body.positions[0])) this.#start(one);
       if (followed && !driver.follower) arrived.push(number);
       const [root, rotations] = [body.root.slice(), body.rotations.slice()];
@@ -65,8 +63,6 @@ export class World {
         performing: driver.performance !== null,
         following: driver.follower !== null,
         recording: Boolean(one.recorded),
-        contacts: body.contacts.reduce((bits, chance, n) => bits | (chance > LIKELY ? 1 << n : 0), 0),
-        heading: body.ground[2],
         root,
         rotations,
       });
@@ -74,10 +70,10 @@ export class World {
     return { shown, arrived };
   }
 
-  // The requested path of a body at [x, z], with a line to its start.
-  #path({ points, type = null, speed = null, stops = [] }, [x, z]) {
-    const { model } = this;
-    const kind = type ?? model.types[steeredType(model, [0, speed ?? 100], null)].name;
+  // The requested path of a character, with a line to its start.
+  #path({ points, type = null, speed = null, stops = [] }, { body }) {
+    const [x, z] = body.ground;
+    const kind = type ?? this.model.types[body.suited([0, speed ?? 100], null)].name;
     const way = Math.hypot(points[0][0] - x, points[0][1] - z) > JOINS_WITHIN ? [[x, z]] : [];
     return { points: [...way, ...points], type: kind, speed, stops: stops.map(([at, seconds]) => [at + way.length, seconds]) };
   }
@@ -88,7 +84,7 @@ export class World {
     const taken = new Set([...characters.values()].map(({ slot }) => slot));
     const slot = Array.from({ length: MOST }, (_, n) => n).find((n) => !taken.has(n));
     this.last += 1;
-    const one = { number: this.last, slot, seq: 0, recorded: null, temperature: TEMPERATURE, worn: "default", offsets: null };
+    const one = { number: this.last, slot, seq: 0, recorded: null, temperature: TEMPERATURE, worn: "default", own: null };
     one.body = new Character(kernel, slot, normals(this.seed + this.last));
     this.#start(one);
     characters.set(this.last, one);
@@ -98,9 +94,9 @@ export class World {
   #start(one, at = null) {
     const [row, place] = [Math.floor(one.slot / 7), one.slot % 7];
     one.body.start(at ?? [BETWEEN * Math.ceil(place / 2) * (-1) ** place, -BETWEEN * row, 0]);
-    if (one.offsets) one.body.offsets.set(one.offsets);
+    one.body.wear(one.own);
     one.body.temperature = one.temperature;
-    one.driver = new Driver(this.model, this.seed + one.number);
+    one.driver = new Driver(one.body, this.seed + one.number);
   }
 }
 
@@ -114,10 +110,9 @@ function check({ do: what, velocity, facing, type, points, seconds, speed, stops
   if (what === "noise" && !(temperature >= 0 && temperature <= 2)) throw new Error("expected a temperature from 0 to 2");
   if (what !== "path") return;
   if (!Array.isArray(points) || points.length < 2 || !points.every((point) => finite(point, 2))) throw new Error("expected points [x, z]");
+  if (points.length > MOST_CORNERS) throw new Error(`expected at most ${MOST_CORNERS} points`);
   if (!(speed === undefined || speed === null || (speed >= 5 && speed <= 1000))) throw new Error("expected a speed from 5 to 1000 cm/s");
   if (stops !== undefined) checkStops(stops, points.length);
-  const steps = points.slice(1).map(([x, z], n) => Math.hypot(x - points[n][0], z - points[n][1]));
-  if (Math.hypot(...points[0]) + steps.reduce((sum, step) => sum + step, 0) > LONGEST_PATH) throw new Error("the path is longer than 500 m");
 }
 
 function checkStops(stops, count) {

@@ -58,8 +58,8 @@ export class Clip {
     for (const foot of this.feet) foot.track = new Float32Array(frames * 3);
     for (let frame = 0; frame < frames; frame++) {
       const { places } = this.poseAt(frame);
-      this.hips.set(places.subarray(this.rig.hips * 3, this.rig.hips * 3 + 3), frame * 3);
-      for (const foot of this.feet) foot.track.set(places.subarray(foot.joint * 3, foot.joint * 3 + 3), frame * 3);
+      places[this.rig.hips].toArray(this.hips, frame * 3);
+      for (const foot of this.feet) places[foot.joint].toArray(foot.track, frame * 3);
     }
     this.speed = new Float32Array(frames);
     const reach = Math.max(1, Math.round(fps / 30));

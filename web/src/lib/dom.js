@@ -47,8 +47,10 @@ export function toggle(label, title, on, onchange) {
   return { node, set, flip: () => node.click() };
 }
 
-export function initialTheme() {
-  return window.matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+/** Says why nothing is shown. */
+export function refused(what, { message }) {
+  const textContent = `This ${what} cannot be shown here: ${message}. A browser of 2023 or later with WebGL is needed.`;
+  Object.assign(document.getElementById("notice"), { hidden: false, textContent });
 }
 
 /** Fills a dialog with keys and their actions. */

@@ -38,17 +38,12 @@ export class Figure extends Group {
   }
 
   set color(color) {
-    this.base = new Color(color);
     if (this.hero) return; // it has its own
     const { regions, shades } = this.rig.body;
-    const mixed = shades.map(([r, g, b, share]) => this.base.clone().lerp(spare.setRGB(r / 255, g / 255, b / 255, SRGBColorSpace), share));
+    const mixed = shades.map(([r, g, b, share]) => color.clone().lerp(spare.setRGB(r / 255, g / 255, b / 255, SRGBColorSpace), share));
     const colors = this.mesh.geometry.getAttribute("color");
     regions.forEach((region, i) => mixed[region].toArray(colors.array, i * 3));
     colors.needsUpdate = true;
-  }
-
-  get color() {
-    return this.base;
   }
 
   set skeletonShown(shown) {
@@ -60,23 +55,11 @@ export class Figure extends Group {
     this.material.needsUpdate = true;
   }
 
-  get skeletonShown() {
-    return this.bones.visible;
-  }
-
-  /** The number of joints that the skeleton draws. */
-  get drawnJoints() {
-    return this.joints.count;
-  }
-
   /** @param {import("./rig.js").Pose} pose */
   setPose(pose) {
-    const { rotations, places } = pose;
     if (this.hero) this.hero.setPose(pose);
     this.skeleton?.bones.forEach((bone, j) => {
-      turn.set(rotations[j * 4 + 1], rotations[j * 4 + 2], rotations[j * 4 + 3], rotations[j * 4]);
-      place.fromArray(places, j * 3);
-      bone.matrixWorld.compose(place, turn, size.set(1, 1, 1));
+      bone.matrixWorld.compose(pose.places[j], pose.rotations[j], size.set(1, 1, 1));
     });
     if (this.bones.visible) this.#setSkeleton(pose);
   }
@@ -135,20 +118,16 @@ export class Figure extends Group {
   #setSkeleton(pose) {
     const thick = this.rig.stature * 0.009;
     for (let j = 0; j < this.rig.count; j++) {
-      matrix.makeScale(thick, thick, thick).setPosition(place.fromArray(pose.places, j * 3));
+      matrix.makeScale(thick, thick, thick).setPosition(pose.places[j]);
       this.joints.setMatrixAt(j, matrix);
     }
-    const end = [0, 0, 0];
     this.links.forEach(([parent, joint, offset], n) => {
-      place.fromArray(pose.places, parent * 3);
-      if (joint === null) {
-        pose.carry(parent, offset, 0, end, 0);
-        tip.fromArray(end);
-      } else tip.fromArray(pose.places, joint * 3);
-      tip.sub(place);
+      if (joint === null) pose.carry(parent, tip.fromArray(offset));
+      else tip.copy(pose.places[joint]);
+      tip.sub(pose.places[parent]);
       const length = tip.length();
       turn.setFromUnitVectors(UP, length > 1e-6 ? tip.divideScalar(length) : UP);
-      matrix.compose(place, turn, size.set(0.9 * thick, Math.max(length, 1e-6), 0.9 * thick));
+      matrix.compose(pose.places[parent], turn, size.set(0.9 * thick, Math.max(length, 1e-6), 0.9 * thick));
       this.sticks.setMatrixAt(n, matrix);
     });
     this.joints.instanceMatrix.needsUpdate = true;

@@ -58,15 +58,15 @@ export class Hero extends Group {
       const outer = this.worlds.get(node.parent);
       if (joint === undefined) world.multiplyQuaternions(outer, node.quaternion);
       else {
-        world.copy(quaternion(rotations.subarray(4 * joint, 4 * joint + 4))).multiply(rest);
+        world.multiplyQuaternions(rotations[joint], rest);
         node.quaternion.copy(outer).invert().multiply(world);
       }
     }
     this.twists.forEach((twist) => this.#spread(twist));
     this.parent.updateWorldMatrix(true, false);
     for (const [node, marked, joint] of this.moves) {
-      place.fromArray(this.raised).applyQuaternion(quaternion(rotations.subarray(4 * joint, 4 * joint + 4)));
-      place.add(mark.fromArray(places, 3 * joint)).add(mark.fromArray(this.lift)).applyMatrix4(this.parent.matrixWorld);
+      place.fromArray(this.raised).applyQuaternion(rotations[joint]);
+      place.add(places[joint]).add(mark.fromArray(this.lift)).applyMatrix4(this.parent.matrixWorld);
       this.#move(this.nodes[node], this.nodes[marked]);
     }
     if (this.vrm) this.#springs();

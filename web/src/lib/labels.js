@@ -14,6 +14,7 @@ export class Labels {
   show(labels) {
     const { clientWidth: width, clientHeight: height } = this.box;
     const seen = new Set();
+    const placed = []; // boxes of names, which move up until they cover no other
     for (const { key, text, x, y, z, name } of labels) {
       at.set(x, y, z).project(this.stage.camera);
       if (at.z > 1 || Math.abs(at.x) > 1.1 || Math.abs(at.y) > 1.1) continue;
@@ -27,10 +28,20 @@ export class Labels {
         this.spans.set(key, span);
       }
       const left = ((at.x + 1) / 2) * width;
-      const top = ((1 - at.y) / 2) * height;
-      span.style.transform = name
-        ? `translate(${left.toFixed(1)}px, ${top.toFixed(1)}px) translate(-50%, -100%)`
-        : `translate(${(left + 6).toFixed(1)}px, ${(top - 7).toFixed(1)}px)`;
+      let top = ((1 - at.y) / 2) * height;
+      if (!name) {
+        span.style.transform = `translate(${(left + 6).toFixed(1)}px, ${(top - 7).toFixed(1)}px)`;
+        continue;
+      }
+      const size = (span.size ??= [span.offsetWidth, span.offsetHeight]);
+      for (const other of placed) {
+        // Those placed before are sorted from the lowest to the highest.
+        const beside = Math.abs(left - other.left) >= (size[0] + other.size[0]) / 2;
+        if (!beside && top > other.top - other.size[1] && top - size[1] < other.top) top = other.top - other.size[1];
+      }
+      placed.push({ left, top, size });
+      placed.sort((one, other) => other.top - one.top);
+      span.style.transform = `translate(${left.toFixed(1)}px, ${top.toFixed(1)}px) translate(-50%, -100%)`;
     }
     for (const [key, span] of this.spans) {
       if (seen.has(key)) continue;

@@ -6,7 +6,7 @@ import {
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 
-export const THEMES = {
+const THEMES = {
   dark: { sky: 0x15181e, ground: 0x1c2027, line: 0x3a414d, bold: 0x667184, shadow: 0.5, hemi: 0.95, key: 2.9, rim: 1.6 },
   light: { sky: 0xeef1f5, ground: 0xe3e7ed, line: 0xb4bdc9, bold: 0x76839a, shadow: 0.28, hemi: 1.35, key: 2.6, rim: 0.7 },
 };
@@ -39,6 +39,7 @@ export class Stage {
     this.dirty = true;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     this.resize();
+    this.theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
   }
 
   invalidate() {
@@ -54,21 +55,16 @@ export class Stage {
     this.invalidate();
   }
 
+  flipTheme() {
+    this.theme = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+  }
+
   set theme(name) {
+    document.documentElement.dataset.theme = name;
     const theme = THEMES[name];
     this.scene.background.set(theme.sky);
     this.scene.fog.color.set(theme.sky);
-    if (this.plain) {
-      this.floor.material.color.set(theme.ground);
-      this.lines.material.color.set(theme.line);
-      this.bold.material.color.set(theme.bold);
-    } else {
-      const { uniforms } = this.grid.material;
-      uniforms.ground.value.set(theme.ground);
-      uniforms.line.value.set(theme.line);
-      uniforms.bold.value.set(theme.bold);
-      uniforms.sky.value.set(theme.sky);
-    }
+    for (const [part, color] of Object.entries(this.colors)) color.set(theme[part]);
     this.shade.material.opacity = theme.shadow;
     this.hemi.intensity = theme.hemi;
     this.hemi.groundColor.set(theme.ground);
@@ -163,7 +159,8 @@ export class Stage {
 
   #ground() {
     const plane = new PlaneGeometry(400, 400).rotateX(-Math.PI / 2);
-    this.grid = this.plain ? this.#plainGrid(plane) : new Mesh(plane, gridMaterial());
+    this.colors = { ground: new Color(), line: new Color(), bold: new Color(), sky: new Color() };
+    this.grid = this.plain ? this.#plainGrid(plane) : new Mesh(plane, gridMaterial(this.colors));
     this.shade = new Mesh(plane, new ShadowMaterial());
     this.shade.receiveShadow = true;
     this.shade.position.y = 0.002;
@@ -175,13 +172,12 @@ export class Stage {
 
   // A grid of lines: without a graphics card, a shader for every ground pixel would take most of the time.
   #plainGrid(plane) {
-    this.floor = new Mesh(plane, new MeshBasicMaterial({ depthWrite: false }));
-    this.lines = new LineSegments(gridLines(24, 2), new LineBasicMaterial({ depthWrite: false, vertexColors: true, transparent: true }));
-    this.floor.renderOrder = -3;
-    this.bold = new LineSegments(boldLines(45, 3), new LineBasicMaterial({ depthWrite: false, transparent: true }));
-    this.lines.renderOrder = -2;
-    this.bold.renderOrder = -1.5; // above the other lines
-    return new Group().add(this.floor, this.lines, this.bold);
+    const floor = new Mesh(plane, new MeshBasicMaterial({ depthWrite: false }));
+    const lines = new LineSegments(gridLines(24, 2), new LineBasicMaterial({ depthWrite: false, vertexColors: true, transparent: true }));
+    const bold = new LineSegments(boldLines(45, 3), new LineBasicMaterial({ depthWrite: false, transparent: true }));
+    Object.assign(this.colors, { ground: floor.material.color, line: lines.material.color, bold: bold.material.color });
+    [floor, lines, bold].forEach((part, n) => (part.renderOrder = [-3, -2, -1.5][n]));
+    return new Group().add(floor, lines, bold);
   }
 }
 
@@ -222,15 +218,9 @@ function boldLines(reach, piece) {
 
 // Lines every metre, bold every five, finer every quarter, over squares in two shades; one pixel wide at any distance,
 // fading out.
-function gridMaterial() {
+function gridMaterial({ ground, line, bold, sky }) {
   return new ShaderMaterial({
-    uniforms: {
-      ground: { value: new Color() },
-      line: { value: new Color() },
-      bold: { value: new Color() },
-      sky: { value: new Color() },
-      far: { value: 60 },
-    },
+    uniforms: { ground: { value: ground }, line: { value: line }, bold: { value: bold }, sky: { value: sky }, far: { value: 60 } },
     depthWrite: false, // drawn first, so that marks on the ground never compete with it for depth
     vertexShader: `
       varying vec3 world;

@@ -1,5 +1,7 @@
 // User input: held keys, gamepad sticks and buttons, an on-screen stick.
 
+import { Vector2 } from "three";
+
 const WAYS = {
   w: [0, 1], arrowup: [0, 1], s: [0, -1], arrowdown: [0, -1], a: [-1, 0], arrowleft: [-1, 0], d: [1, 0], arrowright: [1, 0],
 };
@@ -79,9 +81,7 @@ export class Steering {
 
 // The sum of directions, at most 1 long.
 function sum(ways) {
-  const [x, y] = ways.reduce(([a, b], [c, d]) => [a + c, b + d], [0, 0]);
-  const length = Math.max(1, Math.hypot(x, y));
-  return [x / length, y / length];
+  return ways.reduce((all, way) => all.add(new Vector2(...way)), new Vector2()).clampLength(0, 1).toArray();
 }
 
 function stick(x, y) {

@@ -9,7 +9,7 @@ const AGAIN = 1000; // ms before a lost connection is retried
 export class Link {
   /** @param {{hello: Function, event: Function, frame: Function, lost: Function}} listeners */
   constructor(address, listeners) {
-    Object.assign(this, { address, listeners, seq: 0, frames: [], offset: Infinity, delays: [] });
+    Object.assign(this, { address, listeners, seq: 0, frames: [], offset: Infinity });
     this.#connect();
     setInterval(() => this.ask("ping", { stamp: performance.now() }), 1000);
   }
@@ -99,8 +99,6 @@ export function readFrame(data) {
       performing: Boolean(flags & 1),
       following: Boolean(flags & 2),
       recording: Boolean(flags & 4),
-      contacts: view.getUint8(at + 11),
-      heading: view.getFloat32(at + 12, true),
       root: new Float32Array(data, at + 16, 3),
       rotations: new Float32Array(data, at + 28, 92),
     });

@@ -1,7 +1,7 @@
 // The page of `motionkit play` and `motionkit demo`: shows the characters of a session and steers the user's own.
 
-import { CircleGeometry, Color, Group, Mesh, MeshBasicMaterial, Plane, Raycaster, RingGeometry, Shape, ShapeGeometry, Vector2, Vector3 } from "three";
-import { button, element, fillHelp, initialTheme, toggle } from "../lib/dom.js";
+import { CircleGeometry, Color, Group, Mesh, MeshBasicMaterial, Plane, Quaternion, Raycaster, RingGeometry, Shape, ShapeGeometry, Vector2, Vector3 } from "three";
+import { button, element, fillHelp, refused, toggle } from "../lib/dom.js";
 import { Chase, Figure, Labels, Pose, Ribbon, Rig, Sheets, Stage, Steering, ThumbStick } from "../lib/scene.js";
 
 const CM = 0.01;
@@ -40,10 +40,9 @@ export class Play {
     this.steering.thumb = new ThumbStick($("stick"));
     this.sheets = new Sheets($("dock"), [{ name: "Types", panel: $("types") }, { name: "More", panel: $("tools") }]);
     this.characters = new Map(); // id -> figure and state on the page
-    this.told = new Map(); // id -> the server's facts
+    this.facts = new Map(); // id -> the server's facts
     this.recordedFroms = new Map(); // id -> start of the recording
-    Object.assign(this, { chosen: null, mode: null, touched: null, drawing: false, facing: false, waiting: [], responses: [], shownFrames: 0 });
-    this.theme = initialTheme();
+    Object.assign(this, { chosen: null, mode: null, touched: null, drawing: false, facing: false, waiting: [], responses: [] });
     this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.22, 4.4 * Math.max(1, 0.75 / this.stage.camera.aspect));
     $("figures").hidden ||= matchMedia("(max-width: 700px), (max-height: 480px)").matches; // on a small screen they would hide the body
     const head = $("tools").parentElement; // tools in two rows push down what lies below
@@ -63,15 +62,6 @@ export class Play {
     };
     requestAnimationFrame(loop);
     setInterval(() => this.#measures(), 250);
-  }
-
-  set theme(name) {
-    document.documentElement.dataset.theme = name;
-    this.stage.theme = name;
-  }
-
-  get theme() {
-    return document.documentElement.dataset.theme;
   }
 
   /** The steered character as shown; undefined if there is none. */
@@ -135,19 +125,19 @@ export class Play {
     Object.assign($("notice"), { className: "notice", hidden: false });
   }
 
-  #characters(told) {
-    this.told = new Map(told.map((one) => [one.id, one]));
-    const mine = told.filter((one) => one.owner === this.hello.client).map((one) => one.id);
+  #characters(facts) {
+    this.facts = new Map(facts.map((one) => [one.id, one]));
+    const mine = facts.filter((one) => one.owner === this.hello.client).map((one) => one.id);
     if (!mine.includes(this.chosen)) this.chosen = mine[0] ?? null;
-    for (const id of [...this.characters.keys()]) if (!this.told.has(id)) this.#remove(id);
+    for (const id of [...this.characters.keys()]) if (!this.facts.has(id)) this.#remove(id);
     this.mine = mine;
-    for (const { id, body } of told) this.#show(id, body);
+    for (const { id, body } of facts) this.#show(id, body);
     this.#who();
   }
 
   async #show(id, body) {
     const rig = await this.#rig(body).catch(() => null);
-    if (!rig || this.told.get(id)?.body !== body) return; // outdated: the body has changed since
+    if (!rig || this.facts.get(id)?.body !== body) return; // outdated: the body has changed since
     const place = this.mine.indexOf(id);
     const color = place < 0 ? OTHERS : COLORS[place % COLORS.length];
     const known = this.characters.get(id);
@@ -156,14 +146,14 @@ export class Play {
       return;
     }
     const hero = await rig.newHero();
-    if (this.told.get(id)?.body !== body) return hero?.dispose();
+    if (this.facts.get(id)?.body !== body) return hero?.dispose();
     this.#remove(id);
     const stands = this.standing?.rig === rig; // this figure is shown already
     const figure = stands ? this.standing : new Figure(rig, new Color(color), this.stage.plain, hero);
     this.standing = null;
     figure.visible = stands; // others are hidden until their first frame
     this.stage.scene.add(figure);
-    this.characters.set(id, { id, body, owner: this.told.get(id).owner, color, figure, rig, pose: new Pose(rig.count) });
+    this.characters.set(id, { id, body, owner: this.facts.get(id).owner, color, figure, rig, pose: new Pose(rig.count) });
   }
 
   #remove(id) {
@@ -207,15 +197,12 @@ export class Play {
     }
     const around = this.link.around(moment / 1000);
     if (around) this.#pose(around);
-    if (this.own?.figure.visible) this.#camera(passed);
+    if (this.own?.figure.visible) this.chase.to([this.own.root[0], EYE, this.own.root[2]], passed);
     if (this.loading && (this.own?.figure.visible || !this.chosen)) {
       this.loading = false;
       $("notice").hidden = true;
     }
-    if (this.stage.draw()) {
-      this.shownFrames += 1;
-      this.#label();
-    }
+    if (this.stage.draw()) this.#label();
     // The first picture that shows the response is being drawn now.
     if (this.answered && around && around.after.number >= this.answered.number) {
       this.responses.push(performance.now() - this.answered.at);
@@ -226,33 +213,21 @@ export class Play {
 
   #pose({ before, after, share }) {
     const turns = new Float32Array(92);
-    const root = [0, 0, 0];
     const places = [];
     for (const one of this.characters.values()) {
       const b = after.characters.get(one.id);
       const a = before.characters.get(one.id) ?? b;
       one.figure.visible = Boolean(b);
       if (!b) continue;
-      for (let i = 0; i < 92; i += 4) {
-        // Interpolate the shorter way; the pose normalizes the quaternion.
-        let dot = 0;
-        for (let k = i; k < i + 4; k++) dot += a.rotations[k] * b.rotations[k];
-        const sign = dot < 0 ? -1 : 1;
-        for (let k = i; k < i + 4; k++) turns[k] = a.rotations[k] + share * (sign * b.rotations[k] - a.rotations[k]);
-      }
-      for (let k = 0; k < 3; k++) root[k] = CM * (a.root[k] + share * (b.root[k] - a.root[k]));
+      for (let i = 0; i < 92; i += 4) Quaternion.slerpFlat(turns, i, a.rotations, i, b.rotations, i, share);
+      const root = Array.from(b.root, (there, k) => CM * (a.root[k] + share * (there - a.root[k])));
       one.pose.set(one.rig, turns, 0, root, 0);
       one.figure.setPose(one.pose);
-      Object.assign(one, { root: [...root], heading: b.heading, now: b });
+      Object.assign(one, { root, now: b });
       places.push(root[0], root[2]);
     }
     if (places.length) this.stage.shadowsAt(places);
     this.#ring();
-  }
-
-  #camera(passed) {
-    const [x, , z] = this.own.root;
-    this.chase.to([x, EYE, z], passed);
   }
 
   // A ring under the user's character, with an arrow in the requested direction.
@@ -286,12 +261,11 @@ export class Play {
       return;
     }
     const labels = [];
-    for (const { id, figure, pose, rig, color, owner } of this.characters.values()) {
+    for (const { id, figure, pose, color, owner } of this.characters.values()) {
       if (!figure.visible) continue;
-      let top = 0;
-      for (let j = 1; j < rig.count; j++) top = Math.max(top, pose.places[j * 3 + 1]);
+      const top = Math.max(...pose.places.map(({ y }) => y));
       const text = owner === this.hello.client ? `${id}` : owner === null ? `${id}` : `${id} · client ${owner}`;
-      labels.push({ key: `${id}/${text}`, text, name: color, x: pose.places[0], y: top + 0.3, z: pose.places[2] });
+      labels.push({ key: `${id}/${text}`, text, name: color, x: pose.places[0].x, y: top + 0.3, z: pose.places[0].z });
     }
     this.labels.show(labels);
   }
@@ -550,7 +524,7 @@ export class Play {
       this.link.ask("body", { character: this.chosen, body: this.bodies.value });
       this.bodies.blur();
     };
-    const theme = () => (this.theme = this.theme === "dark" ? "light" : "dark");
+    const theme = () => this.stage.flipTheme();
     this.commands = {
       p: draw.flip, v: face.flip, i: info.flip, o: () => this.record(), t: theme, Tab: () => this.#next(), n: () => this.add(),
       Escape: () => this.drawing && draw.flip(), "?": () => $("help").showModal(), Backspace: () => this.#restart(),
@@ -591,10 +565,10 @@ export class Play {
       }
       return box;
     });
-    const others = this.told.size - this.mine.length;
+    const others = this.facts.size - this.mine.length;
     $("who").replaceChildren(...nodes, button("Add a character", "Another character (N)", () => this.add(), "+"));
     if (others) $("who").append(element("label", {}, `${others} of others`));
-    const own = this.told.get(this.chosen);
+    const own = this.facts.get(this.chosen);
     if (own) {
       this.bodies.value = own.body;
       if (document.activeElement !== this.noise) this.noise.value = String(own.temperature);
@@ -612,12 +586,12 @@ export class Play {
   }
 
   add() {
-    this.link.ask("add", { body: this.told.get(this.chosen)?.body ?? "default" });
+    this.link.ask("add", { body: this.facts.get(this.chosen)?.body ?? "default" });
   }
 
   // Downloads the character's recording first.
   #dismiss(character) {
-    if (this.told.get(character)?.recording) this.link.ask("record", { character, on: false });
+    if (this.facts.get(character)?.recording) this.link.ask("record", { character, on: false });
     this.link.ask("remove", { character });
   }
 
@@ -635,7 +609,7 @@ export class Play {
   /** Starts or ends a recording. */
   record() {
     if (this.chosen === null) return;
-    this.link.ask("record", { character: this.chosen, on: !this.told.get(this.chosen)?.recording });
+    this.link.ask("record", { character: this.chosen, on: !this.facts.get(this.chosen)?.recording });
   }
 
   #recordState(character, on) {
@@ -699,8 +673,8 @@ export class Play {
     if (!this.newest) return;
     const now = performance.now();
     const passed = (now - (this.measured?.at ?? now)) / 1000;
-    const drawn = passed > 0 ? (this.shownFrames - this.measured.frames) / passed : 0;
-    this.measured = { at: now, frames: this.shownFrames };
+    const drawn = passed > 0 ? (this.stage.frames - this.measured.frames) / passed : 0;
+    this.measured = { at: now, frames: this.stage.frames };
     this.smoothed = this.smoothed ? 0.7 * this.smoothed + 0.3 * drawn : drawn;
     const { newest, link, responses, hello } = this;
     if (this.behind) {
@@ -737,7 +711,7 @@ export function open(make) {
   try {
     return (window.motionkit = make());
   } catch (error) {
-    $("notice").textContent = `This page cannot be shown here: ${error.message}. A browser of 2023 or later with WebGL is needed.`;
+    refused("page", error);
     return null;
   }
 }

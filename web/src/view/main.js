@@ -1,7 +1,7 @@
 // The page of `motionkit view`: reads its motions and plays them.
 
 import { Color, Group, Vector3 } from "three";
-import { button, element, fillHelp, icon, initialTheme, toggle } from "../lib/dom.js";
+import { button, element, fillHelp, icon, refused, toggle } from "../lib/dom.js";
 import { Clip, Figure, Footprints, Labels, Ribbon, Stage } from "../lib/scene.js";
 import { Timeline } from "./timeline.js";
 
@@ -13,6 +13,7 @@ const REACH = 0.9; // metres on either side that a body and its arms take in the
 // the distance from which the camera leaves it out.
 const LEAPS = 300;
 const SLOT = 3;
+const EYE = 0.9; // metres, height of the camera target
 const $ = (id) => document.getElementById(id);
 
 /** Whether a motion covers more ground than anybody walks. */
@@ -35,7 +36,6 @@ class Viewer {
     Object.assign(this, { followed: this.#wanders(), names: false, skeletons: false, paths: true, marks: true });
     this.timeline = new Timeline($("timeline"), this.tracks, (time) => this.seek(time, true));
     this.#controls();
-    this.theme = initialTheme();
     this.#arrange();
     this.seek(0);
     document.addEventListener("keydown", (event) => this.#key(event));
@@ -69,14 +69,9 @@ class Viewer {
     return this.tracks[this.chosen];
   }
 
-  set theme(name) {
-    document.documentElement.dataset.theme = name;
-    this.stage.theme = name;
+  #flipTheme() {
+    this.stage.flipTheme();
     this.timeline.redraw();
-  }
-
-  get theme() {
-    return document.documentElement.dataset.theme;
   }
 
   /** Places motions side by side along x, or all where they were recorded. */
@@ -110,20 +105,16 @@ class Viewer {
       const { middle, distance } = this.#standBack(this.apart && shown.length ? shown : [this.track], angle);
       const [x, z] = this.#place(this.track);
       this.aside = [middle[0] - x, middle[1] - z];
-      this.stage.look(new Vector3(middle[0], this.#eyeHeight(), middle[1]), angle, 0.17, distance);
+      this.stage.look(new Vector3(middle[0], EYE, middle[1]), angle, 0.17, distance);
       return;
     }
     const boxes = shown.map(({ clip, group }) => clip.box.map((value, i) => value + (i % 2 ? group.position.z : group.position.x)));
     const low = [0, 1].map((axis) => Math.min(...boxes.map((box) => box[axis])) - 0.5);
     const high = [2, 3].map((axis) => Math.max(...boxes.map((box) => box[axis])) + 0.5);
-    const middle = new Vector3((low[0] + high[0]) / 2, this.#eyeHeight(), (low[1] + high[1]) / 2);
+    const middle = new Vector3((low[0] + high[0]) / 2, EYE, (low[1] + high[1]) / 2);
     const span = Math.hypot(high[0] - low[0], high[1] - low[1]);
     const narrow = Math.max(1, 1.4 / this.stage.camera.aspect);
     this.stage.look(middle, angle, 0.2, Math.max(4.4, span * 1.45) * narrow);
-  }
-
-  #eyeHeight() {
-    return 0.9;
   }
 
   /** The body's present position on the ground: x, z. */
@@ -213,14 +204,10 @@ class Viewer {
         time = this.looping ? (time - end) % end : seconds;
         if (!this.looping) this.play(false);
       }
-      this.#advance(time);
+      this.seek(time);
+      this.time = time; // beyond the last frame while that is still shown
     }
     if (this.stage.draw()) this.#label();
-  }
-
-  #advance(time) {
-    this.seek(time);
-    this.time = time; // beyond the last frame while that is still shown
   }
 
   #label() {
@@ -229,18 +216,13 @@ class Viewer {
       if (!shown) return;
       const { x, z } = group.position;
       const { places } = clip.pose;
-      const spot = (joint, lift = 0) => ({
-        x: places[joint * 3] + x,
-        y: places[joint * 3 + 1] - clip.floor + lift,
-        z: places[joint * 3 + 2] + z,
-      });
+      const spot = (joint) => ({ x: places[joint].x + x, y: places[joint].y - clip.floor, z: places[joint].z + z });
       if (this.names && n === this.chosen) {
         clip.rig.names.forEach((text, joint) => labels.push({ key: `${n}/${joint}`, text, ...spot(joint) }));
       }
       if (this.tracks.length > 1) {
-        let top = 0;
-        for (let j = 1; j < clip.rig.count; j++) if (places[j * 3 + 1] > places[top * 3 + 1]) top = j;
-        labels.push({ key: `${n}/name`, text: clip.name, name: color, ...spot(top, 0.3), x: spot(clip.rig.hips).x, z: spot(clip.rig.hips).z });
+        const top = Math.max(...places.map(({ y }) => y));
+        labels.push({ key: `${n}/name`, text: clip.name, name: color, ...spot(clip.rig.hips), y: top - clip.floor + 0.3 });
       }
     });
     this.labels.show(labels);
@@ -327,7 +309,7 @@ class Viewer {
     if (this.tracks.length > 1) this.toggles.o = toggle("Side by side", "Side by side, or all where they were recorded (O)", true, sides);
     $("tools").append(
       ...Object.values(this.toggles).map(({ node }) => node),
-      button("Theme", "Dark or light (D)", () => (this.theme = this.theme === "dark" ? "light" : "dark"), "◐"),
+      button("Theme", "Dark or light (D)", () => this.#flipTheme(), "◐"),
       button("Help", "Keyboard (H)", () => $("help").showModal(), "?"),
     );
     fillHelp($("help"), "Keyboard", [
@@ -390,7 +372,7 @@ class Viewer {
       if (at && Math.hypot(event.clientX - at[0], event.clientY - at[1]) < 4) this.play();
     });
     this.stage.controls.enableZoom = false; // the wheel scrolls the surrounding page
-    if (theme) this.theme = theme;
+    if (theme) this.stage.theme = theme;
   }
 
   #key(event) {
@@ -406,7 +388,7 @@ class Viewer {
       "+": () => this.#faster(1),
       "=": () => this.#faster(1),
       r: () => this.frameAll(),
-      d: () => (this.theme = this.theme === "dark" ? "light" : "dark"),
+      d: () => this.#flipTheme(),
       h: () => $("help").showModal(),
       "?": () => $("help").showModal(),
     };
@@ -433,7 +415,4 @@ async function start() {
   document.documentElement.dataset.ready = "true";
 }
 
-start().catch((error) => {
-  $("notice").hidden = false;
-  $("notice").textContent = `This file cannot be shown here: ${error.message}. A browser of 2023 or later with WebGL is needed.`;
-});
+start().catch((error) => refused("file", error));

@@ -23,7 +23,10 @@ from motionkit.cli.common import (
 @click.option("--bundled", is_flag=True, help="Fill the gaps with the bundled model as well.")
 @option("--type", "kind", default="walking", help="Motion type that the model is asked for.")
 @option(
-    "--windows", default=0, type=click.IntRange(min=0), help="Windows to test, evenly spread; 0 tests all."
+    "--windows",
+    default=0,
+    type=click.IntRange(min=0),
+    help="Number of windows to test, evenly spread; 0 tests all.",
 )
 @json_option
 def in_between_command(
@@ -47,14 +50,14 @@ def in_between_command(
     rows, facts = [], []
     with Stages() as stages:
         show = stages.count("filling", len(GAPS) * (2 if model is None else 4))
-        for gap, way, count, values in in_between(folder, model, kind, windows):
-            known = PUBLISHED.get(way, {}).get(gap, (None,) * len(values))
+        for gap, method, count, values in in_between(folder, model, kind, windows):
+            known = PUBLISHED.get(method, {}).get(gap, (None,) * len(values))
             cells = [
                 f"{value.value:.4f}" + ("" if paper is None else f" ({paper:g})")
                 for value, paper in zip(values, known, strict=True)
             ]
-            rows.append((str(gap), way, str(count), *cells))
-            facts.append({"gap": gap, "way": way, "windows": count} | {v.id: v.value for v in values})
+            rows.append((str(gap), method, str(count), *cells))
+            facts.append({"gap": gap, "way": method, "windows": count} | {v.id: v.value for v in values})
             show(len(rows))
     if as_json:
         print_json({"rows": facts})

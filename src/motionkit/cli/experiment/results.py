@@ -7,14 +7,7 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import FILE, stdout_console
-from motionkit.cli.experiment.options import (
-    BODIES,
-    LONG,
-    SCENES,
-    needs_torch,
-    output_option,
-    results_option,
-)
+from motionkit.cli.experiment.options import needs_torch, output_option, results_option
 from motionkit.errors import MotionkitError
 
 
@@ -26,15 +19,14 @@ from motionkit.errors import MotionkitError
 def tables_command(results: Path, selection: str | None, output: Path, latex: Path | None) -> None:
     """Write all tables from the results, the paper's figures beside ours. Nothing is trained."""
     needs_torch()
-    from motionkit.lab.paper.model_results import read_bodies, read_long, read_scenes
+    from motionkit.lab.paper.model_results import OF_ONE_MODEL, read_models
     from motionkit.lab.paper.page import Extras, write_page
 
-    scenes, long = read_scenes(results.parent / SCENES.name), read_long(results.parent / LONG.name)
-    bodies = read_bodies(results.parent / BODIES.name)
+    extras = {kind: tuple(read_models(results.parent / kind, kind)) for kind in OF_ONE_MODEL}
     found = [each for each in _read(results) if selection in (None, each["data"])]
     if not found:
         raise MotionkitError(f"{results}: no results of the data set {selection} yet")
-    write_page(found, output, latex, Extras(tuple(scenes), tuple(long), tuple(bodies)))
+    write_page(found, output, latex, Extras(**extras))
     stdout_console().print(f"wrote {output}" + (f" and {latex}" if latex else ""))
 
 

@@ -49,6 +49,7 @@ def scenes_command(
     printed beside the paper's. Without NAMES, when all scenes are made, distances are also written to a file named
     after the model, from which `experiment tables` takes them. Feet are not held (--no-ik), as in the paper's figures.
     """
+    from motionkit.cli.console import make_table
     from motionkit.lab.paper.scenes import chosen_scenes, make_scene, scene_facts
     from motionkit.models.bundled import open_model
     from motionkit.motion.bvh import write_bvh
@@ -65,8 +66,8 @@ def scenes_command(
             progress(number)
             made = [make_scene(model, scene, seed) for seed in range(seeds)]
             stem = folder / f"{scene.figure}-{scene.name}"
-            write_bvh(stem.with_suffix(".bvh"), made[0].shown.motion)
-            write_strobe(stem.with_suffix(".png"), made[0].shown)
+            write_bvh(stem.with_suffix(".bvh"), made[0].view.motion)
+            write_strobe(stem.with_suffix(".png"), made[0].view)
             facts.append(scene_facts(made))
     if not names:
         write_json(
@@ -75,19 +76,15 @@ def scenes_command(
     if as_json:
         print_json({"folder": str(folder), "scenes": facts})
         return
-    from rich.table import Table
-
-    table = Table()
-    for heading in ("figure", "what it shows", "cm/frame", "paper", "end reached"):
-        table.add_column(heading, justify="left" if heading == "what it shows" else "right")
+    rows = []
     for row in facts:
         distances = row["distances"]
         mean = f"{sum(distances) / len(distances):.3f}" if distances else ""
         paper = "" if row["paper"] is None else f"{row['paper']:g}"
-        table.add_row(
-            row["figure"], row["text"], mean, paper, f"{row['finished']} of {seeds}" if distances else ""
-        )
-    stdout_console().print(table)
+        ends = f"{row['finished']} of {seeds}" if distances else ""
+        rows.append((row["figure"], row["text"], mean, paper, ends))
+    columns = ("figure", "what it shows", "cm/frame", "paper", "end reached")
+    stdout_console().print(make_table(columns, rows, (1,), title=None))
     stdout_console().print(f"wrote {counted(len(facts), 'scene')} to {folder}")
 
 
@@ -96,7 +93,7 @@ def scenes_command(
 @data_option
 @click.option(
     "--type",
-    "asked",
+    "requested",
     multiple=True,
     help="Motion type, may be repeated. By default walking, running and a dance.",
 )
@@ -104,7 +101,7 @@ def scenes_command(
 @seeds_option(1, "Roll-outs of each type.")
 @output_option(str(LONG), folder=True)
 def long_command(
-    model_path: Path, data: Path, asked: tuple[str, ...], seconds: float, seeds: int, output: Path
+    model_path: Path, data: Path, requested: tuple[str, ...], seconds: float, seeds: int, output: Path
 ) -> None:
     """Roll out motion types for a long time from 30 initial frames, with a MODEL of tptn-paper.
 
@@ -128,8 +125,8 @@ def long_command(
 
     model, dataset = load_model(model_path), Dataset(data)
     check_layout(dataset, model)
-    name, usual = model_path.stem, long_types(dataset, asked)
-    kinds = types_known(model, usual, bool(asked))
+    name, usual = model_path.stem, long_types(dataset, requested)
+    kinds = types_known(model, usual, bool(requested))
     for kind in usual:
         if kind not in kinds:
             remark(f"{name} does not know {kind}, which is left out")
@@ -160,7 +157,7 @@ def long_command(
 @seeds_option(3, "Roll-outs of each performer.")
 @output_option(str(BODIES), folder=True)
 def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: Path) -> None:
-    """Show the skeleton control signal of a MODEL with five performers, from short to long legs.
+    """Test how a MODEL responds to the skeleton control signal of five performers, from short to long legs.
 
     One recording is rolled out with the body of each in the network's input and all else alike. Limbs, height of the
     hips and steps that come out are written beside those of the performer's own recordings, for `experiment tables`.
@@ -172,17 +169,17 @@ def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: 
 
     model, dataset = load_model(model_path), Dataset(data)
     with Stages() as show:
-        shown = show_bodies(model, dataset, kind, seeds, show.share("rolling out"))
+        performers = show_bodies(model, dataset, kind, seeds, show.share("rolling out"))
     facts = {
         "model": model_path.stem,
         "steps": model.card.get("steps"),
         "type": kind,
         "seeds": seeds,
-        "performers": shown,
+        "performers": performers,
     }
     file = output / f"{model_path.stem}.json"
     write_json(file, facts)
-    print_fitting(BODIES_HEADER, [bodies_row(each) for each in shown], BODIES_SPARE)
+    print_fitting(BODIES_HEADER, [bodies_row(each) for each in performers], BODIES_SPARE)
     stdout_console().print(f"wrote {file}")
 
 

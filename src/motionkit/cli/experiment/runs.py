@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 @plan_options
 @json_option
 def list_command(plan: Plan, as_json: bool) -> None:
-    """List what can be run: group, parameters in millions beside the paper's, and finished runs."""
+    """List experiments: group, parameters in millions beside the paper's, and finished runs."""
     from motionkit.lab.paper.runs import listed
 
-    asked = click.get_current_context().get_parameter_source("data") is not ParameterSource.DEFAULT
-    rows, faults = listed(plan, asked or plan.data.exists())
+    named = click.get_current_context().get_parameter_source("data") is not ParameterSource.DEFAULT
+    rows, faults = listed(plan, named or plan.data.exists())
     if faults:
         others = f" (and {counted(len(faults) - 1, 'other')})" if faults[1:] else ""
         remark(f"not counted: {faults[0]}{others}")
@@ -105,15 +105,15 @@ def run_command(
 @click.command("shipped")
 @data_option
 @set_option
-@frames_option("Frames that are made of a test sequence at most; those of the runs to compare with.")
+@frames_option("Most frames to make of a test sequence; use the number of the runs to compare with.")
 @seeds_option(3, "Runs.")
 @results_option
 def shipped_command(data: Path, selection: str, frames: int, seeds: int, results: Path) -> None:
     """Measure the bundled model as shipped on the test sequences, for the second table.
 
-    Reference poses, sampling presets, corrections and foot locks are on; it is measured with --reference none too.
-    Test sequences that are mirror images of training clips are left out, since the model has seen them. Results of
-    before are written over, also those of another number of --frames.
+    Reference poses, sampling presets, corrections and foot locks are on; it is measured with --reference none
+    too. Test sequences that are mirror images of training clips are left out, since the model has seen them.
+    Earlier results are overwritten, also those with another number of --frames.
     """
     from motionkit.lab.paper.datasets import select
     from motionkit.lab.paper.shipped import run_shipped
@@ -134,9 +134,9 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
 @data_option
 @results_option
 def measure_command(data: Path, results: Path) -> None:
-    """Measure finished runs anew, in the roll-outs that are kept beside their results. Nothing is trained.
+    """Measure the saved roll-outs of finished runs again. Nothing is trained.
 
-    Every metric is written into the results again, so a new one comes into those of before.
+    Every metric is written into the results again, so older results get new metrics too.
     """
     needs_torch()
     from motionkit.lab.paper.runs import measure_again

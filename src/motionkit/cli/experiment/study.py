@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @click.command("study")
 @click.argument("folder", type=EXISTING_FOLDER)
 @output_option("study.html", folder=False)
-@seed_option()
+@seed_option
 def study_command(folder: Path, output: Path, seed: int) -> None:
     """Write the page of a user study (paper section 5.4): one HTML file that raters open.
 
@@ -52,7 +52,7 @@ def study_command(folder: Path, output: Path, seed: int) -> None:
     "--paper",
     "paper_table",
     type=click.Choice(tuple(STUDIES)),
-    help="Put the figures of the paper's table 4 (without dances) or 5 (with dances) beside those of the answers.",
+    help="Also print the paper's table 4 (without dances) or 5 (with dances).",
 )
 @json_option
 def ttest_command(answers: tuple[Path, ...], model: str, paper_table: str | None, as_json: bool) -> None:

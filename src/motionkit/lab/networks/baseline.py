@@ -21,7 +21,7 @@ from motionkit.models.batch import Batch
 from motionkit.models.config import CHOICES
 from motionkit.models.predictor import NextFrame
 
-MOST = 8192  # of any size: model files may come from untrusted sources
+MOST = 8192  # largest layer size, because model files may come from untrusted sources
 OUTPUTS = FEATURE_COUNT + CONTACT_COUNT + TRAJECTORY_COUNT
 NO_SIGMA = -9.2  # log sigma of networks that predict no distribution: drawn frames are the mean
 
@@ -142,7 +142,7 @@ class MemorylessStream:
         """predict: called with features, contacts, controls and latent numbers of one frame."""
         self.predict = predict
 
-    def reset(self, given: int = 0) -> None:
+    def reset(self, warmup: int = 0) -> None:
         """There is nothing to forget."""
 
     def step(

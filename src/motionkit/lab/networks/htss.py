@@ -161,7 +161,7 @@ class TwoStream(BodyEncoder):
             **{name: WEIGHTS[name] * value for name, value in terms.items()},
             "trajectory": smooth(made.trajectory_mean, batch.trajectory),
             "contact": contact_loss(made, batch),
-            "discriminator": self._told_apart(made.mean, batch.targets),
+            "discriminator": self._discriminator_loss(made.mean, batch.targets),
         }
 
     def _autoencoded(self, x: Tensor) -> Tensor:
@@ -175,10 +175,10 @@ class TwoStream(BodyEncoder):
     def _fooled(self, made: Tensor) -> Tensor:
         """Return how little the discriminator takes predictions for recordings; its weights get no gradient."""
         fixed = {name: value.detach() for name, value in self.discriminator.named_parameters()}
-        said = functional_call(self.discriminator, fixed, (made,)).float()
-        return F.binary_cross_entropy_with_logits(said, torch.ones_like(said))
+        logits = functional_call(self.discriminator, fixed, (made,)).float()
+        return F.binary_cross_entropy_with_logits(logits, torch.ones_like(logits))
 
-    def _told_apart(self, made: Tensor, real: Tensor) -> Tensor:
+    def _discriminator_loss(self, made: Tensor, real: Tensor) -> Tensor:
         """Return how badly the discriminator tells predictions from recordings; predictions get no gradient."""
         false, true = self.discriminator(made.detach()).float(), self.discriminator(real).float()
         return F.binary_cross_entropy_with_logits(
@@ -197,7 +197,7 @@ class TwoStreamState:
         self.network = network
         self.reset()
 
-    def reset(self, given: int = 0) -> None:
+    def reset(self, warmup: int = 0) -> None:
         """Forget all frames."""
         self.state: State | None = None
 

@@ -138,18 +138,18 @@ class MatchingStream:
         self.network = network
         self.reset()
 
-    def reset(self, given: int = 0) -> None:
+    def reset(self, warmup: int = 0) -> None:
         """Forget all frames; recorded ones are all sought, so that the last of them is."""
-        self.since, self.given = 0, given
+        self.since, self.warmup = 0, warmup
         self.state: Tensor | None = None
 
     def step(
         self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor, latent_BZ: Tensor | None = None
     ) -> NextFrame:
         """Predict the next frame; the frame itself and the controls only count where a search is due."""
-        if self.state is None or self.given > 0 or self.since >= SEARCHED:
+        if self.state is None or self.warmup > 0 or self.since >= SEARCHED:
             self.state = self.network.projector(self.network.matching(x_BF, controls_BC))
             self.since = 0
-        self.given, self.since = self.given - 1, self.since + 1
+        self.warmup, self.since = self.warmup - 1, self.since + 1
         self.state = self.state + self.network.stepper(self.state)
         return self.network.frame(self.state)

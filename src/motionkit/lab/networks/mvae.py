@@ -58,30 +58,30 @@ class MotionVae(Predictor):
 
     def __init__(self, config: MotionVaeConfig, control_size: int) -> None:
         super().__init__(config, control_size)
-        given, hidden, latent = FEATURE_COUNT + control_size, config.hidden, config.latent
+        inputs, hidden, latent = FEATURE_COUNT + control_size, config.hidden, config.latent
         self.latent_size = latent
-        self.encoder = mlp((given, hidden, hidden))
+        self.encoder = mlp((inputs, hidden, hidden))
         self.to_latent = nn.Linear(hidden, 2 * latent)
-        self.gate = mlp((given + latent, config.gate, config.gate, config.experts))
-        sizes = ((given + latent, hidden), (hidden + latent, hidden), (hidden + latent, OUTPUTS))
+        self.gate = mlp((inputs + latent, config.gate, config.gate, config.experts))
+        sizes = ((inputs + latent, hidden), (hidden + latent, hidden), (hidden + latent, OUTPUTS))
         self.decoder = ExpertLayers(config.experts, sizes)
 
-    def encode(self, given: Tensor) -> tuple[Tensor, Tensor]:
+    def encode(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and log variance (N, Z) of the latent numbers for past poses with controls."""
-        mean, log_variance = self.to_latent(F.elu(self.encoder(given))).float().chunk(2, dim=-1)
+        mean, log_variance = self.to_latent(F.elu(self.encoder(inputs))).float().chunk(2, dim=-1)
         return mean, log_variance.clamp(-10.0, 10.0)
 
-    def decode(self, given: Tensor, latent: Tensor) -> NextFrame:
+    def decode(self, inputs: Tensor, latent: Tensor) -> NextFrame:
         """Return the next frame for past poses with controls (N, ...) and latent numbers (N, Z)."""
-        shares = torch.softmax(self.gate(torch.cat([given, latent], dim=-1)), dim=-1)
-        return split_outputs(self.decoder(given, shares, again=latent))
+        shares = torch.softmax(self.gate(torch.cat([inputs, latent], dim=-1)), dim=-1)
+        return split_outputs(self.decoder(inputs, shares, again=latent))
 
     def next(self, x: Tensor, contacts: Tensor, controls: Tensor, latent: Tensor | None) -> NextFrame:
         """Predict from one frame (N, ...), with latent numbers of unit size, or with their mean."""
-        given = torch.cat([x, controls], dim=-1)
-        mean, log_variance = self.encode(given)
+        inputs = torch.cat([x, controls], dim=-1)
+        mean, log_variance = self.encode(inputs)
         drawn = mean if latent is None else mean + torch.exp(0.5 * log_variance) * latent
-        return self.decode(given, drawn)
+        return self.decode(inputs, drawn)
 
     def losses(self, batch: Batch, space: FeatureSpace, progress: float) -> dict[str, Tensor]:
         """Return squared errors over unrolled frames, and the divergence from unit Gaussians."""
@@ -91,10 +91,10 @@ class MotionVae(Predictor):
         for t in range(UNROLLED):
             recorded = torch.rand(len(x), 1, device=x.device) < share
             x = torch.where(recorded, runs.inputs[:, t], x) if t else x
-            given = torch.cat([x, runs.controls[:, t]], dim=-1)
-            mean, log_variance = self.encode(given)
+            inputs = torch.cat([x, runs.controls[:, t]], dim=-1)
+            mean, log_variance = self.encode(inputs)
             drawn = mean + torch.exp(0.5 * log_variance) * torch.randn_like(mean)
-            frames.append(self.decode(given, drawn))
+            frames.append(self.decode(inputs, drawn))
             divergences.append(0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance))
             x = frames[-1].mean
         kl = masked_mean(torch.stack(divergences, dim=1), runs.mask)

@@ -59,9 +59,9 @@ class NeuralLayering(Predictor):
     def run(self, x: Tensor, series: Tensor) -> NextFrame:
         """Return the prediction for poses (..., 276) and control series (..., S (C + 4))."""
         shape = x.shape[:-1]
-        given = series.reshape(-1, series.shape[-1])
-        shares = torch.softmax(self.gate(F.dropout(given, self.config.dropout, self.training)), dim=-1)
-        out = torch.cat([x.reshape(-1, FEATURE_COUNT), given], dim=-1)
+        inputs = series.reshape(-1, series.shape[-1])
+        shares = torch.softmax(self.gate(F.dropout(inputs, self.config.dropout, self.training)), dim=-1)
+        out = torch.cat([x.reshape(-1, FEATURE_COUNT), inputs], dim=-1)
         out = self.layers(out, shares, dropout=self.config.dropout)
         return split_outputs(out.reshape(*shape, OUTPUTS))
 
@@ -84,7 +84,7 @@ class SeriesStream:
         self.network = network
         self.reset()
 
-    def reset(self, given: int = 0) -> None:
+    def reset(self, warmup: int = 0) -> None:
         """Forget all frames."""
         self.rows: list[Tensor] = []
 

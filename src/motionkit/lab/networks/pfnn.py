@@ -31,7 +31,7 @@ from motionkit.models.predictor import NextFrame, Predictor
 
 CONTROL_POINTS = 4
 TURN = 2.0 * math.pi
-USUAL_RATE = TURN / 60.0  # of the phase per frame, beyond the first and the last footstep of a window
+USUAL_RATE = TURN / 60.0  # phase per frame before the first and after the last footstep of a window
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ def gait_phase(contacts: Array) -> Array:
         return np.zeros(len(contacts))
     events.sort()
     phases = [events[0][1]]
-    for _, wanted in events[1:]:  # the next time this foot's phase comes up
-        ahead = (wanted - phases[-1]) % TURN
+    for _, next_phase in events[1:]:  # the next time this foot's phase comes up
+        ahead = (next_phase - phases[-1]) % TURN
         phases.append(phases[-1] + (ahead if ahead > 1e-6 else TURN))
     times = [t for t, _ in events]
     inside = np.interp(frames, times, phases)
@@ -100,11 +100,11 @@ class PhaseFunctionedNetwork(Predictor):
         phase = torch.tensor(np.stack([gait_phase(each) for each in steps]), dtype=torch.float32)
         phase = phase.to(batch.inputs.device)
         made, turn = self.run(batch.inputs, batch.controls, phase[:, :-1])
-        wanted = (phase[:, 1:] - phase[:, :-1]) / USUAL_RATE
+        target = (phase[:, 1:] - phase[:, :-1]) / USUAL_RATE
         weights = torch.stack([layer.weight.abs().mean() for layer in self.layers]).sum()  # type: ignore[operator,union-attr]
         return {
             **prediction_losses(made, batch),
-            "phase": masked_mean((turn - wanted).square(), batch.mask),
+            "phase": masked_mean((turn - target).square(), batch.mask),
             "weights": self.config.weight_l1 * weights,
         }
 
@@ -120,9 +120,9 @@ class PhaseStream:
         self.network, self.batch = network, batch
         self.reset()
 
-    def reset(self, given: int = 0) -> None:
+    def reset(self, warmup: int = 0) -> None:
         """Forget all frames; the contacts of the next given + 1 frames are recorded."""
-        self.given = given + 1
+        self.warmup = warmup + 1
         self.seen: list[Tensor] = []
         self.phase = torch.zeros(self.batch)
 
@@ -130,7 +130,7 @@ class PhaseStream:
         self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor, latent_BZ: Tensor | None = None
     ) -> NextFrame:
         """Predict the next frame, and go on to its phase."""
-        if len(self.seen) < self.given:
+        if len(self.seen) < self.warmup:
             self.seen.append(contacts_B4.cpu())
             known = torch.stack(self.seen, dim=1).numpy()
             self.phase = torch.tensor([gait_phase(each)[-1] for each in known], dtype=torch.float32)

@@ -33,7 +33,6 @@ class Recorded:
 
     Attributes:
         x: (T, 276) features.
-        contacts: (T, 4).
         controls: (T, C), with the recording's own types and trajectory, and without reference poses.
         trajectory: (T, 24) of every frame.
     """
@@ -78,12 +77,12 @@ def roll_out(
         labelled: feed contacts back that are labelled by height and speed of the feet, not the network's, for one
             that was not trained to predict them.
     """
-    shown = [min(each.initial, INIT_FRAMES) for each in sequences]
+    counts = [min(each.initial, INIT_FRAMES) for each in sequences]
     out: dict[int, Floats] = {}
-    for given in sorted(set(shown)):
-        rows = [i for i, count in enumerate(shown) if count == given]
+    for initial in sorted(set(counts)):
+        rows = [i for i, count in enumerate(counts) if count == initial]
         batch = _Batch(network, dataset, [sequences[i] for i in rows], [draws[i] for i in rows], device)
-        made = dataset.scaling.denormalize(batch.run(given, labelled).cpu().numpy())
+        made = dataset.scaling.denormalize(batch.run(initial, labelled).cpu().numpy())
         out |= {i: made[n, : sequences[i].frames] for n, i in enumerate(rows)}
     return [out[i] for i in range(len(sequences))]
 
@@ -113,19 +112,19 @@ class _Batch:
         self.speeds = torch.tensor(columns.indices("joint_velocities", FOOT_JOINTS), device=device)
 
     @torch.inference_mode()
-    def run(self, given: int, labelled: bool) -> Tensor:
+    def run(self, initial: int, labelled: bool) -> Tensor:
         """Return normalised frames (B, T, 276) after the given ones."""
         stream = self.network.stream(len(self.x))
-        stream.reset(given - 1)
-        for t in range(given - 1):
+        stream.reset(initial - 1)
+        for t in range(initial - 1):
             stream.step(self.x[:, t], self.contacts[:, t], self.controls[:, t])
-        frame, contacts, made = self.x[:, given - 1], self.contacts[:, given - 1], []
+        frame, contacts, made = self.x[:, initial - 1], self.contacts[:, initial - 1], []
         for t in range(self.frames):
             drawn, latent = self.noise[:, t, :FEATURE_COUNT], self.noise[:, t, FEATURE_COUNT:]
-            controls = self.controls[:, given - 1 + t]
-            said = stream.step(frame, contacts, controls, latent if self.network.latent_size else None)
-            frame = said.mean + drawn * torch.exp(said.log_sigma)
-            contacts = self._labels(frame) if labelled else torch.sigmoid(said.contact_logits)
+            controls = self.controls[:, initial - 1 + t]
+            predicted = stream.step(frame, contacts, controls, latent if self.network.latent_size else None)
+            frame = predicted.mean + drawn * torch.exp(predicted.log_sigma)
+            contacts = self._labels(frame) if labelled else torch.sigmoid(predicted.contact_logits)
             made.append(frame)
         return torch.stack(made, dim=1)
 
@@ -138,12 +137,12 @@ class _Batch:
 
 
 def _rows(dataset: Dataset, sequence: HeldOut, kind: str, frames: int) -> tuple[Array, Array, Array]:
-    """Shown frames, their contacts, and the controls of these and of the frames to make, the last one repeated."""
+    """Initial frames, their contacts, and the controls of these and of the frames to make, the last one repeated."""
     whole = recorded(dataset, sequence.clip, sequence.data, kind)
     first = sequence.initial - min(sequence.initial, INIT_FRAMES)
-    shown = slice(first, sequence.initial)
-    asked = np.minimum(np.arange(first, sequence.initial + frames), len(whole.x) - 1)
-    return whole.x[shown], whole.contacts[shown], whole.controls[asked]
+    seen = slice(first, sequence.initial)
+    rows = np.minimum(np.arange(first, sequence.initial + frames), len(whole.x) - 1)
+    return whole.x[seen], whole.contacts[seen], whole.controls[rows]
 
 
 def _noise(seed: int | None, frames: int, size: int) -> Floats:

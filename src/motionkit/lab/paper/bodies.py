@@ -14,10 +14,10 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, Dataset
-from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError, MotionkitError
+from motionkit.features.decode import joint_positions
 from motionkit.lab.held_out import continued
-from motionkit.lab.paper.long_rollouts import INITIAL, beginning, check_layout
+from motionkit.lab.paper.long_rollouts import INITIAL, check_layout, initial_stretch
 from motionkit.lab.paper.protocol import sequence_controls
 from motionkit.lab.statistics import rounded
 from motionkit.models.model import MotionModel
@@ -64,10 +64,8 @@ def _stretches(dataset: Dataset, body: int, kind: str) -> list[tuple[Clip, int, 
     """Recorded stretches of a type by a body: clip, start, end; without very short ones."""
     return [
         (clip, start, end)
-        for clip in dataset.clips
-        if clip.body == body and not clip.mirrored
-        for start, end, number in type_stretches(dataset.clip_types(clip))
-        if dataset.types[number] == kind and end - start >= SHORT
+        for clip, start, end, _ in dataset.stretches(None, kind)
+        if clip.body == body and not clip.mirrored and end - start >= SHORT
     ]
 
 
@@ -96,15 +94,15 @@ def show_bodies(
         raise MotionkitError("the network is not shown bodies; train on a dataset made with --own-bodies")
     check_layout(dataset, model)
     chosen = performers(dataset, kind)
-    sequence = beginning(dataset, kind)
+    sequence = initial_stretch(dataset, kind)
     if sequence.frames < FORGOTTEN + LEAST:
         raise DatasetError(f"{sequence.clip.name}: expected {INITIAL + FORGOTTEN + LEAST} frames of {kind}")
-    asked, frames = sequence_controls(dataset, sequence, model), min(sequence.frames, MADE)
+    controls, frames = sequence_controls(dataset, sequence, model), min(sequence.frames, MADE)
     out: list[dict[str, Any]] = []
     for name, body in chosen.items():
         made = []
         for seed in range(seeds):
-            rolled = continued(model, sequence, _body(dataset, body), asked, frames, seed)
+            rolled = continued(model, sequence, _body(dataset, body), controls, frames, seed)
             made.append(measures(dataset, rolled[FORGOTTEN:]))
             progress((len(out) + len(made) / seeds) / len(chosen))
         mean = {key: rounded(float(np.mean([each[key] for each in made]))) for key in MEASURES}
@@ -118,10 +116,7 @@ def measures(dataset: Dataset, features: Array) -> dict[str, float]:
     hips is their height over the lower ankle, step the largest distance over the ground between the ankles in a
     second; both are means over the frames.
     """
-    block = dataset.layout.blocks["joint_positions"]
-    places = np.zeros((len(features), len(JOINT_NAMES), 3))
-    for column, values in zip(dataset.layout.columns[block], features[:, block].T, strict=True):
-        places[:, column.joint, column.component] = values
+    places = joint_positions(features, dataset.layout.version).astype(np.float64)
     joint = {name: places[:, number] for number, name in enumerate(JOINT_NAMES)}
     out = {
         limb: float(np.mean([_length([joint[name] for name in chain]) for chain in chains]))
@@ -151,12 +146,12 @@ def recorded_measures(dataset: Dataset, body: int, kind: str) -> dict[str, float
     return {key: rounded(sum(length * each[key] for length, each in found) / frames) for key in MEASURES}
 
 
-def slopes(shown: Sequence[dict[str, Any]]) -> dict[str, float]:
+def slopes(performers: Sequence[dict[str, Any]]) -> dict[str, float]:
     """Return for each measure how far what is made follows the performer: 1 fully, 0 not at all (least squares)."""
     out = {}
     for key in MEASURES:
-        own, made = (np.array([each[side][key] for each in shown]) for side in ("recorded", "made"))
-        spread = own - own.mean()
+        real, made = (np.array([each[side][key] for each in performers]) for side in ("recorded", "made"))
+        spread = real - real.mean()
         out[key] = float(spread @ (made - made.mean()) / max(float(spread @ spread), 1e-9))
     return out
 

@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from motionkit.lab.paper.tables import Results, named
+from motionkit.lab.paper.tables import Results, named, number
 from motionkit.lab.statistics import Paired, corrected, least_t, paired
 from motionkit.names import counted
 from motionkit.tables import Table
 
-LEVEL = 0.05  # of the corrected p below which a difference counts
+LEVEL = 0.05  # corrected p below which a difference counts
 
 
 @dataclass(frozen=True)
@@ -27,30 +27,17 @@ class Measure:
     more: bool = False
 
 
-def _likelihood(result: dict[str, Any]) -> float | None:
-    return result.get("held-out", {}).get("nll")
-
-
 def _error(result: dict[str, Any]) -> float | None:
     """The error by block of features as a share of that of repeating the last frame, the mean over blocks."""
-    held_out = result.get("held-out")
-    if held_out is None:
-        return None
-    return _mean([_share(value, held_out["copy"].get(block)) for block, value in held_out["error"].items()])
+    blocks = result.get("held-out", {}).get("error", {})
+    pairs = [(value, number(result, "held-out", "copy", block)) for block, value in blocks.items()]
+    return _mean([value / copied if value is not None and copied else None for value, copied in pairs])
 
 
 def _open_loop(result: dict[str, Any]) -> float | None:
     """The distance of joints in the roll-outs of a second, the mean over horizons."""
-    ways = result.get("held-out", {}).get("open-loop", {})
-    return _mean([value for name, value in ways.get("mean", {}).items() if name.startswith("mpjpe")])
-
-
-def _by_mean(metric: str) -> Callable[[dict[str, Any]], float | None]:
-    return lambda result: result.get("by-mean", {}).get("all", {}).get(metric, [None])[0]
-
-
-def _share(value: float | None, whole: float | None) -> float | None:
-    return None if value is None or not whole else value / whole
+    distances = result.get("held-out", {}).get("open-loop", {}).get("mean", {})
+    return _mean([value for name, value in distances.items() if name.startswith("mpjpe")])
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
@@ -59,11 +46,13 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 MEASURES = {
-    "likelihood": Measure("negative log-likelihood per frame", _likelihood, 1),
+    "likelihood": Measure("negative log-likelihood per frame", lambda r: number(r, "held-out", "nll"), 1),
     "error": Measure("error one frame ahead, as a share of copying's", _error, 3),
     "open loop": Measure("joints in open loop, by mean (cm)", _open_loop, 2),
-    "movement": Measure("BM by mean (deg/frame)", _by_mean("bm-euler"), 1, more=True),
-    "sliding": Measure("AFS by mean (cm/frame)", _by_mean("afs"), 3),
+    "movement": Measure(
+        "BM by mean (deg/frame)", lambda r: number(r, "by-mean", "all", "bm-euler", 0), 1, more=True
+    ),
+    "sliding": Measure("AFS by mean (cm/frame)", lambda r: number(r, "by-mean", "all", "afs", 0), 3),
 }
 BETTER = ("likelihood", "error", "open loop")
 
@@ -97,11 +86,11 @@ CLAIMS = (
 )
 CLAIMS_HEADER = (
     "the paper's claim (section 5.5)",
+    "verdict",
     "variant",
     "seeds",
     *BETTER,
     "BM or AFS by mean",
-    "verdict",
 )
 
 
@@ -156,10 +145,10 @@ def judged(results: Results) -> list[Judged]:
 
 def verdict(claim: Claim, found: Sequence[Judged]) -> str:
     """Return the verdict on a claim by its own measures: one decides, unless another decides otherwise."""
-    said = {each.verdict for each in found if each.measure in claim.measures} - {"cannot be told"}
-    if len(said) > 1:
+    verdicts = {each.verdict for each in found if each.measure in claim.measures} - {"cannot be told"}
+    if len(verdicts) > 1:
         return "measures differ"
-    return said.pop() if said else "cannot be told"
+    return verdicts.pop() if verdicts else "cannot be told"
 
 
 def claims_table(results: Results, title: str) -> Table:
@@ -176,8 +165,8 @@ def claims_table(results: Results, title: str) -> Table:
         cells = {each.measure: each.cell() for each in found}
         beside = "".join(cell for name, cell in cells.items() if name not in BETTER)
         seeds = str(min((each.found.count for each in found), default=len(theirs)))
-        shown = (*(cells.get(name, "") for name in BETTER), beside)
-        rows.append((claim.text, claim.rival, seeds, *shown, verdict(claim, found)))
+        measures = (*(cells.get(name, "") for name in BETTER), beside)
+        rows.append((claim.text, verdict(claim, found), claim.rival, seeds, *measures))
     return Table(title, CLAIMS_HEADER, tuple(rows))
 
 
@@ -192,7 +181,7 @@ def counts(results: Results) -> str:
     if found:
         t = least_t(LEVEL / len(found), seeds - 1)
         need = f" {seeds} seeds tell the first of {counted(len(found), 'variant')} from t {t:.1f} on."
-    said = [row[-1] for row in table.rows]
-    decided = sum(each in ("agrees", "does not agree") for each in said)
-    agree = said.count("agrees")
-    return f"{decided} of {len(said)} claims are decided: {agree} agree, {decided - agree} do not.{need}"
+    verdicts = [row[1] for row in table.rows]
+    decided = sum(each in ("agrees", "does not agree") for each in verdicts)
+    agree = verdicts.count("agrees")
+    return f"{decided} of {len(verdicts)} claims are decided: {agree} agree, {decided - agree} do not.{need}"

@@ -24,7 +24,7 @@ PAPER_TYPES = (
 )  # fmt: skip
 TRAIN_PER_TYPE = 3  # 3 x 13 types: the paper's 39 sequences
 LEAST_TEST = 60  # frames of a test sequence: 30 to begin with, and as many to compare
-OWN_SETS = "sets"  # folder of a dataset folder with data sets that users define
+USER_SETS = "sets"  # folder of a dataset folder with data sets that users define
 LOCOMOTION = ("idle", "walking", "running", "b-walking", "duck", "jumping-b")  # what PFNN was made for
 PFNN_TESTS = 5  # sequences held out in the paper's comparison with PFNN
 
@@ -45,13 +45,13 @@ def select(folder: Path, name: str) -> Dataset:
         DatasetError: if the data set is unknown, or has no training or test clips here.
     """
     dataset = Dataset(folder)
-    train, test = (SELECTIONS.get(name) or own_selection(folder, name)).choose(dataset)
+    train, test = (SELECTIONS.get(name) or user_selection(folder, name)).choose(dataset)
     if not train or not test:
-        wanted = f"test clips have at least {LEAST_TEST} frames"
+        expected = f"test clips have at least {LEAST_TEST} frames"
         if name == "D_L":
-            wanted = f"its types are {', '.join(PAPER_TYPES)}; the data set all takes any"
+            expected = f"its types are {', '.join(PAPER_TYPES)}; the data set all takes any"
         raise DatasetError(
-            f"{folder}: no {'test' if train else 'training'} clips for the data set {name}: {wanted}"
+            f"{folder}: no {'test' if train else 'training'} clips for the data set {name}: {expected}"
         )
     dataset.clips = tuple(
         [replace(c, split="train") for c in train] + [replace(c, split="test") for c in test]
@@ -64,13 +64,15 @@ def described(dataset: Dataset, name: str) -> str:
     clips = dataset.select("train")
     kinds = {kind for clip in clips for kind in frames_of(dataset, clip)}
     mirrored = sum(clip.mirrored for clip in clips)
-    own = "" if name in SELECTIONS else f"{own_selection(dataset.folder, name).text}: "
+    text = "" if name in SELECTIONS else f"{user_selection(dataset.folder, name).text}: "
     images = f" and {counted(mirrored, 'mirror image')}" if mirrored else ""
     many = counted(len(clips) - mirrored, "training sequence")
-    return f"{own}{many}{images} of {counted(len(kinds), 'type')} in {dataset.folder.resolve().name}"
+    return (
+        f"{text}{many}{images} of {counted(len(kinds), 'type')} of the folder {dataset.folder.resolve().name}"
+    )
 
 
-def own_selection(folder: Path, name: str) -> Selection:
+def user_selection(folder: Path, name: str) -> Selection:
     """Return a data set that a user has defined: NAME.json in the folder sets of a dataset folder.
 
     Its fields, all optional, are "text"; "types", the only ones of its clips; "test", patterns of the names of its test
@@ -79,7 +81,7 @@ def own_selection(folder: Path, name: str) -> Selection:
     Raises:
         DatasetError: there is no such file, or it holds something else.
     """
-    files = folder / OWN_SETS
+    files = folder / USER_SETS
     known = [*SELECTIONS, *sorted(path.stem for path in files.glob("*.json"))]
     if name not in known:
         raise DatasetError(
@@ -113,7 +115,7 @@ def own_selection(folder: Path, name: str) -> Selection:
         if "types" in found:
             train, test = (_only(dataset, clips, found["types"].__contains__) for clips in (train, test))
         if found.get("mirrored"):
-            train += [replace(clip, name=f"{clip.name} (mirrored)", mirrored=True) for clip in train]
+            train += list(map(_image, train))
         return train, _long(test)
 
     return Selection(name, found.get("text", "a data set of one's own"), choose)
@@ -137,25 +139,31 @@ def _long(clips: list[Clip]) -> list[Clip]:
     return [clip for clip in clips if clip.frames >= LEAST_TEST]
 
 
+def _image(clip: Clip) -> Clip:
+    return replace(clip, name=f"{clip.name} (mirrored)", mirrored=True)
+
+
 def _with_mirrors(dataset: Dataset, train: list[Clip], test: list[Clip], types: set[str]) -> list[Clip]:
     """Test clips with, for each type they lack, the mirror image of its longest training clip (paper section 3)."""
-    shown = {kind for clip in test for kind in frames_of(dataset, clip)}
+    tested = {kind for clip in test for kind in frames_of(dataset, clip)}
     out = list(test)
-    for kind in sorted(types - shown):
+    for kind in sorted(types - tested):
         having = [clip for clip in _long(train) if kind in frames_of(dataset, clip)]
         if having:
             longest = max(having, key=lambda clip: frames_of(dataset, clip)[kind])
-            out.append(replace(longest, name=f"{longest.name} (mirrored)", mirrored=True))
+            out.append(_image(longest))
     return out
+
+
+def _of_types(dataset: Dataset, allowed: Callable[[str], bool]) -> tuple[list[Clip], list[Clip]]:
+    """Training and long enough test clips that show allowed types only."""
+    train, test = (_only(dataset, _plain(dataset, split), allowed) for split in ("train", "test"))
+    return train, _long(test)
 
 
 def _d_l(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
     """Per type the three training clips that show most of it, those with transitions first; test clips of all types."""
-
-    def known(kind: str) -> bool:
-        return kind in PAPER_TYPES
-
-    pool = _only(dataset, _plain(dataset, "train"), known)
+    pool, tests = _of_types(dataset, PAPER_TYPES.__contains__)
     train: list[Clip] = []
     for kind in PAPER_TYPES:
         having = [clip for clip in pool if kind in frames_of(dataset, clip) and clip not in train]
@@ -166,10 +174,7 @@ def _d_l(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
     # Some types have fewer than three clips: the longest of the others fill up.
     rest = sorted((clip for clip in pool if clip not in train), key=lambda clip: (-clip.frames, clip.name))
     train += rest[: TRAIN_PER_TYPE * len(PAPER_TYPES) - len(train)]
-    tests = _with_mirrors(
-        dataset, train, _long(_only(dataset, _plain(dataset, "test"), known)), set(PAPER_TYPES)
-    )
-    return train, _covering(dataset, tests)
+    return train, _covering(dataset, _with_mirrors(dataset, train, tests, set(PAPER_TYPES)))
 
 
 def _covering(dataset: Dataset, clips: list[Clip]) -> list[Clip]:
@@ -186,20 +191,15 @@ def _covering(dataset: Dataset, clips: list[Clip]) -> list[Clip]:
 
 
 def _all(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
-    train = _plain(dataset, "train")
-    return train, _with_mirrors(dataset, train, _long(_plain(dataset, "test")), set(dataset.types))
+    train, tests = _of_types(dataset, dataset.types.__contains__)
+    return train, _with_mirrors(dataset, train, tests, set(dataset.types))
 
 
 def _all_mirrored(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
     """As _all, and the mirror images of training clips but those that are tested on, or whose original is."""
     train, test = _all(dataset)
     tested = {(clip.start, clip.frames) for clip in test}
-    images = [
-        replace(clip, name=f"{clip.name} (mirrored)", mirrored=True)
-        for clip in train
-        if (clip.start, clip.frames) not in tested
-    ]
-    return [*train, *images], test
+    return [*train, *(_image(clip) for clip in train if (clip.start, clip.frames) not in tested)], test
 
 
 def is_dance(kind: str) -> bool:
@@ -208,21 +208,14 @@ def is_dance(kind: str) -> bool:
 
 
 def _no_dances(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
-    def known(kind: str) -> bool:
-        return not is_dance(kind)
-
-    train = _only(dataset, _plain(dataset, "train"), known)
-    types = {kind for kind in dataset.types if known(kind)}
-    return train, _with_mirrors(dataset, train, _long(_only(dataset, _plain(dataset, "test"), known)), types)
+    types = {kind for kind in dataset.types if not is_dance(kind)}
+    train, tests = _of_types(dataset, types.__contains__)
+    return train, _with_mirrors(dataset, train, tests, types)
 
 
 def _locomotion(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
-    def known(kind: str) -> bool:
-        return kind in LOCOMOTION
-
-    tests = _long(_only(dataset, _plain(dataset, "test"), known))
-    tests.sort(key=lambda clip: (-min(clip.frames, 600), clip.name))
-    return _only(dataset, _plain(dataset, "train"), known), tests[:PFNN_TESTS]
+    train, tests = _of_types(dataset, LOCOMOTION.__contains__)
+    return train, sorted(tests, key=lambda clip: (-min(clip.frames, 600), clip.name))[:PFNN_TESTS]
 
 
 SELECTIONS = {

@@ -60,8 +60,8 @@ def write_figures(results: Results, folder: Path) -> list[Path]:
 
 def _curves(results: Results) -> tuple[Series, ...]:
     """The curves of networks with the paper's losses, whose totals mean the same."""
-    own = [r for r in results if "curve" in r and r["group"] != "baselines" and r["seed"] == 0]
-    return tuple(Series(r["name"], tuple((x, y) for x, y in r["curve"])) for r in own)
+    chosen = [r for r in results if "curve" in r and r["group"] != "baselines" and r["seed"] == 0]
+    return tuple(Series(r["name"], tuple((x, y) for x, y in r["curve"])) for r in chosen)
 
 
 def _movement(results: Results) -> tuple[Series, ...]:

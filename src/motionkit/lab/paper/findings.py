@@ -17,9 +17,9 @@ def findings(results: Results) -> list[str]:
             ("motion matching", "the network against motion matching"),
             ("last frame", "the network against holding the last frame"),
         ):
-            said = _compared(here, rival)
-            if said:
-                lines.append(f"`{folder}`, {claim}: {said}.")
+            finding = _compared(here, rival)
+            if finding:
+                lines.append(f"`{folder}`, {claim}: {finding}.")
         lines += _copying(folder, here) + _still(folder, here) + _unlearnt(folder, here)
     return lines or ["Nothing yet: no results of TPTN beside another."]
 
@@ -41,8 +41,8 @@ def by_budget(results: Results) -> list[str]:
                 if (each := figure_of(here, metric))
             ]
             seeds = counted(len(here), "seed")
-            shown = f"{budget['steps']} steps of {budget['batch']} windows ({seeds})"
-            words.append(f"{shown}: {', '.join(found)}")
+            budget_text = f"{budget['steps']} steps of {budget['batch']} windows ({seeds})"
+            words.append(f"{budget_text}: {', '.join(found)}")
         if len(words) > 1:
             lines.append(f"`{data}`, TPTN by training: {'; '.join(words)}.")
     return lines
@@ -92,9 +92,9 @@ def _unlearnt(folder: str, results: Results) -> list[str]:
     better = sorted(name for name, error in errors.items() if error and error.mean < floor.mean)
     if len(better) > len(errors) / 2:
         return []
-    said = f"only {', '.join(better)} of {len(errors)} networks come" if better else "no network comes"
+    count = f"only {', '.join(better)} of {len(errors)} networks come" if better else "no network comes"
     return [
-        f"`{folder}`: {said} nearer to the recordings than motion matching (MPJPE {floor.mean:.3g} cm). Differences "
+        f"`{folder}`: {count} nearer to the recordings than motion matching (MPJPE {floor.mean:.3g} cm). Differences "
         "between networks show which begin to learn sooner at this budget, not which are better when trained."
     ]
 

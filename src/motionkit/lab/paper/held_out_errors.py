@@ -6,7 +6,7 @@ All networks see the same windows, and roll out from the same frames with the sa
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from motionkit.features.decode import decode_rotations, integrate_ground, root_h
 from motionkit.features.layout import FEATURE_COUNT, FeatureLayout
 from motionkit.inference.start import INIT_FRAMES
 from motionkit.lab.held_out import INITIAL, HeldOut, decoded, held_out
-from motionkit.lab.paper.batched_rollouts import Recorded, recorded, roll_out
+from motionkit.lab.paper.batched_rollouts import recorded, roll_out
 from motionkit.lab.statistics import rounded
 from motionkit.metrics.body_movement import euler_movement
 from motionkit.models.network import PartTransformer
@@ -35,26 +35,7 @@ STRIDE = (
 FEWEST = INITIAL[-1]  # frames before the first one that is predicted
 TOGETHER = 16  # windows per product
 HORIZONS = {"0.25": 15, "0.5": 30, "1": 60}  # frames of an open-loop roll-out by seconds
-MOST_STARTS = 24  # of open-loop roll-outs
-
-
-@dataclass(frozen=True, eq=False)
-class _Windows:
-    """Windows of clips, padded with zeros; attributes as of Recorded, (B, T, ...), with the frames after them.
-
-    Attributes:
-        mask: (B, T) 1 for frames whose successor is predicted.
-    """
-
-    x: Tensor
-    contacts: Tensor
-    controls: Tensor
-    targets: Tensor
-    before: Tensor
-    given: Tensor
-    next_given: Tensor
-    given_before: Tensor
-    mask: Tensor
+MOST_STARTS = 24  # most starts of open-loop roll-outs
 
 
 def held_out_errors(
@@ -65,11 +46,6 @@ def held_out_errors(
     labelled: bool = False,
 ) -> dict[str, Any]:
     """Return errors and likelihood of a network on the test clips of its dataset.
-
-    Args:
-        network: on the device; it is left in evaluation mode.
-        seed: of the sampled roll-outs.
-        labelled: as of roll_out.
 
     Returns:
         "frames", how many are predicted from recorded ones, one by one. "nll" and "nll-trajectory", their negative
@@ -91,33 +67,30 @@ def _teacher_forced(network: Predictor, dataset: Dataset, device: torch.device) 
     blocks = _blocks(dataset.layout)
     totals: dict[str, float] = {}
     squares = {
-        way: torch.zeros(FEATURE_COUNT, dtype=torch.float64) for way in ("error", "copy", "extrapolation")
+        method: torch.zeros(FEATURE_COUNT, dtype=torch.float64)
+        for method in ("error", "copy", "extrapolation")
     }
     paths = dict.fromkeys(squares, 0.0)
     count = 0
-    for windows in _windows(dataset, network.config.controls):
-        w = _Windows(*(each.to(device) for each in vars(windows).values()))
-        made, rows = _predicted(network, w), int(w.mask.sum())
-        guesses = {"error": made.mean, "copy": w.x, "extrapolation": 2.0 * w.x - w.before}
-        ways = {
-            "error": made.trajectory_mean,
-            "copy": w.given,
-            "extrapolation": 2.0 * w.given - w.given_before,
-        }
-        for way, guess in guesses.items():
-            off = ((guess - w.targets).square() * w.mask[..., None]).double()
-            squares[way] += off.sum((0, 1)).cpu()
-            path = ways[way]
-            if path is not None:
-                paths[way] += float(((path - w.next_given).square().mean(-1) * w.mask).double().sum())
-        for name, value in _likelihoods(made, w).items():
-            totals[name] = totals.get(name, 0.0) + value * w.mask.numel()
-        count += rows
+    for arrays in _windows(dataset, network.config.controls):
+        x, path, contacts, controls, mask = (each.to(device) for each in arrays)
+        made = _predicted(network, x[:, 1:-1], contacts, controls)
+        guesses = {"error": (made.mean, made.trajectory_mean)}
+        guesses["copy"] = (x[:, 1:-1], path[:, 1:-1])
+        guesses["extrapolation"] = (2.0 * x[:, 1:-1] - x[:, :-2], 2.0 * path[:, 1:-1] - path[:, :-2])
+        for method, (guess, path_guess) in guesses.items():
+            off = ((guess - x[:, 2:]).square() * mask[..., None]).double()
+            squares[method] += off.sum((0, 1)).cpu()
+            if path_guess is not None:
+                paths[method] += float(((path_guess - path[:, 2:]).square().mean(-1) * mask).double().sum())
+        for name, value in _likelihoods(made, x[:, 2:], path[:, 2:], mask).items():
+            totals[name] = totals.get(name, 0.0) + value * mask.numel()
+        count += int(mask.sum())
         has_path = made.trajectory_mean is not None
     errors = {
-        way: {name: _root(float(each[columns].mean()), count) for name, columns in blocks.items()}
-        | ({"trajectory": _root(paths[way], count)} if has_path or way != "error" else {})
-        for way, each in squares.items()
+        method: {name: _root(float(each[columns].mean()), count) for name, columns in blocks.items()}
+        | ({"trajectory": _root(paths[method], count)} if has_path or method != "error" else {})
+        for method, each in squares.items()
     }
     return {"frames": count, **{name: _number(total / count) for name, total in totals.items()}, **errors}
 
@@ -133,63 +106,57 @@ def _number(value: float) -> float | None:
 
 def _blocks(layout: FeatureLayout) -> dict[str, list[int]]:
     """Columns by what they hold; those of the root are apart."""
-    own = layout.joint_columns(0)
+    root = layout.joint_columns(0)
     names = {
         "rotations": ("joint_rotations",),
         "positions": ("joint_positions",),
         "velocities": ("joint_angular_velocities", "joint_velocities"),
     }
     found = {
-        name: [i for i, column in enumerate(layout.columns) if column.block in blocks and i not in own]
+        name: [i for i, column in enumerate(layout.columns) if column.block in blocks and i not in root]
         for name, blocks in names.items()
     }
-    return found | {"root": own}
+    return found | {"root": root}
 
 
-def _windows(dataset: Dataset, kind: str) -> Iterator[_Windows]:
-    """Yield the windows of all test clips, some at a time; each frame after the first FEWEST is predicted once."""
+def _windows(dataset: Dataset, kind: str) -> Iterator[list[Tensor]]:
+    """Yield the windows of all test clips, some at a time; each frame after the first FEWEST is predicted once.
+
+    They are features and trajectories of WINDOW frames and of those beside them, contacts, controls, and a mask (B, T)
+    of the frames whose successor is predicted.
+    """
     cut: list[tuple[Array, ...]] = []
     for clip in dataset.select("test"):
-        whole = recorded(dataset, clip, dataset.read(clip), kind)
-        for first in range(0, clip.frames - 1, STRIDE):
+        whole, last = recorded(dataset, clip, dataset.read(clip), kind), clip.frames - 1
+        for first in range(0, last, STRIDE):
             known = first + INIT_FRAMES + 1 if first else FEWEST  # the first frame that counts
-            if known < clip.frames:
-                cut.append(_window(whole, first, known))
-    for at in range(0, len(cut), TOGETHER):
-        arrays = zip(*cut[at : at + TOGETHER], strict=True)
-        yield _Windows(*(torch.from_numpy(np.stack(each)) for each in arrays))
-
-
-def _window(whole: Recorded, first: int, known: int) -> tuple[Array, ...]:
-    """The arrays of _Windows for one window; frames from `known` on are predicted."""
-    last = len(whole.x) - 1
-    frames = np.minimum(np.arange(first, first + WINDOW), last)
-    after, before = np.minimum(frames + 1, last), np.maximum(frames - 1, 0)
-    inside = np.arange(first, first + WINDOW) + 1
-    mask = ((inside >= known) & (inside <= last)).astype(np.float32)
-    x, path = whole.x, whole.trajectory
-    given = (x[frames], whole.contacts[frames], whole.controls[frames])
-    return (*given, x[after], x[before], path[frames], path[after], path[before], mask)
+            if known <= last:
+                places = np.arange(first - 1, first + WINDOW + 1)
+                mask = ((places[2:] >= known) & (places[2:] <= last)).astype(np.float32)
+                at = np.clip(places, 0, last)
+                rest = (whole.contacts[at[1:-1]], whole.controls[at[1:-1]], mask)
+                cut.append((whole.x[at], whole.trajectory[at], *rest))
+    for begin in range(0, len(cut), TOGETHER):
+        yield [torch.from_numpy(np.stack(each)) for each in zip(*cut[begin : begin + TOGETHER], strict=True)]
 
 
 @torch.inference_mode()
-def _predicted(network: Predictor, w: _Windows) -> NextFrame:
+def _predicted(network: Predictor, x: Tensor, contacts: Tensor, controls: Tensor) -> NextFrame:
     """The predictions for all frames of windows: at once by part transformers, else frame by frame."""
     if isinstance(network, PartTransformer):
-        return network(w.x, w.contacts, w.controls)
-    stream = network.stream(len(w.x))
-    made = [stream.step(w.x[:, t], w.contacts[:, t], w.controls[:, t]) for t in range(WINDOW)]
-    return stacked(made)
+        return network(x, contacts, controls)
+    stream = network.stream(len(x))
+    return stacked([stream.step(x[:, t], contacts[:, t], controls[:, t]) for t in range(WINDOW)])
 
 
-def _likelihoods(made: NextFrame, w: _Windows) -> dict[str, float]:
+def _likelihoods(made: NextFrame, targets: Tensor, path: Tensor, mask: Tensor) -> dict[str, float]:
     """Negative log-likelihoods of the Gaussians that are predicted; a sigma that is always the same predicts none."""
     pairs = {
-        "nll": (made.mean, made.log_sigma, w.targets),
-        "nll-trajectory": (made.trajectory_mean, getattr(made, "trajectory_log_sigma", None), w.next_given),
+        "nll": (made.mean, made.log_sigma, targets),
+        "nll-trajectory": (made.trajectory_mean, getattr(made, "trajectory_log_sigma", None), path),
     }
     return {
-        name: float(gaussian_loss(mean.double(), log_sigma.double(), target.double(), w.mask))
+        name: float(gaussian_loss(mean.double(), log_sigma.double(), target.double(), mask))
         for name, (mean, log_sigma, target) in pairs.items()
         if mean is not None and log_sigma is not None and float(log_sigma.max() - log_sigma.min()) > 0.0
     }
@@ -221,12 +188,14 @@ def _open_loop(
     draws: list[int | None] = [None] * len(starts)
     draws += [seed * 1009 + number for number in range(len(starts))]
     made = roll_out(network, dataset, [*starts, *starts], draws, device, labelled)
-    ways = {"mean": made[: len(starts)], "sample": made[len(starts) :]}
+    methods = {"mean": made[: len(starts)], "sample": made[len(starts) :]}
     truth = [each.data.features[each.initial : each.initial + each.frames] for each in starts]
-    distances = {way: _distances(dataset, starts, frames, truth) for way, frames in ways.items()}
+    distances = {method: _distances(dataset, starts, frames, truth) for method, frames in methods.items()}
     moved = {
-        way: _number(float(np.mean([_movement(dataset, *pair) for pair in zip(starts, frames, strict=True)])))
-        for way, frames in {**ways, "recorded": truth}.items()
+        method: _number(
+            float(np.mean([_movement(dataset, *pair) for pair in zip(starts, frames, strict=True)]))
+        )
+        for method, frames in {**methods, "recorded": truth}.items()
     }
     return {"starts": len(starts), "open-loop": distances, "bm": moved}
 
@@ -243,10 +212,10 @@ def _distances(
     out: dict[str, float | None] = {}
     for name, frame in HORIZONS.items():
         apart = np.linalg.norm(poses[:, frame - 1] - true_poses[:, frame - 1], axis=-1)
-        way = np.linalg.norm(grounds[:, frame - 1] - true_grounds[:, frame - 1], axis=-1)
+        distance = np.linalg.norm(grounds[:, frame - 1] - true_grounds[:, frame - 1], axis=-1)
         out |= {
             f"mpjpe-{name}": _number(float(apart.mean())),
-            f"root-{name}": _number(float(way.mean())),
+            f"root-{name}": _number(float(distance.mean())),
         }
     return out
 
@@ -265,3 +234,35 @@ def _places(dataset: Dataset, starts: Sequence[HeldOut], features: Sequence[Floa
     _, poses = forward_kinematics(rotations, np.zeros((*together.shape[:2], 3), np.float32), bones, PARENTS)
     height = root_height(together, layout)
     return poses, np.stack([ground[..., 0], height, ground[..., 1]], axis=-1)
+
+
+# ---- by its controls ----
+
+
+def control_derivatives(network: Predictor, dataset: Dataset, sequence: HeldOut) -> dict[str, float]:
+    """Return the gain of the predicted trajectory on the trajectory fed in, and on the features fed in.
+
+    Of part transformers only; other networks return nothing. Paper section 5.5, "Where and how to input the control
+    signals", explains by it why a fed-back trajectory does not explode: derivatives of the output by the controls
+    around 150 exploded within a few frames, those around 4 did not. The norm is not given there; here it is the largest
+    singular value of the Jacobian at the last frame of a window, in normalised units.
+    """
+    if not isinstance(network, PartTransformer):
+        return {}
+    device = network.aggregate.weight.device
+    whole = recorded(dataset, sequence.clip, sequence.data, network.config.controls)
+    features, contacts, controls = (
+        torch.tensor(each[None, : sequence.initial], device=device)
+        for each in (whole.x, whole.contacts, whole.controls)
+    )
+    features.requires_grad_()
+    controls.requires_grad_()
+    with torch.backends.cudnn.flags(enabled=False):  # recurrent layers have no gradients in evaluation mode
+        made = network(features, contacts, controls).trajectory_mean[0, -1]
+        rows = [torch.autograd.grad(value, (features, controls), retain_graph=True) for value in made]
+    by_features = torch.stack([row[0][0, -1] for row in rows])
+    by_trajectory = torch.stack([row[1][0, -1, network.trajectory_columns] for row in rows])
+    return {
+        name: rounded(torch.linalg.matrix_norm(matrix, 2).item())
+        for name, matrix in (("trajectory", by_trajectory), ("features", by_features))
+    }

@@ -19,7 +19,7 @@ from motionkit.features.layout import FEATURE_COUNT, FeatureLayout
 from motionkit.files import atomic_write, check_regular
 from motionkit.lab.held_out import HeldOut
 
-WAYS = ("sample", "mean")  # one seeded sample of every frame, and the predicted means
+OUTPUTS = ("sample", "mean")  # one seeded sample of every frame, and the predicted means
 MOST_BYTES = 256 * 2**20
 LEVELS = 32767  # steps from 0 to the largest value of a column
 
@@ -30,27 +30,30 @@ def rollouts_file(result: Path) -> Path:
 
 
 def keep_rollouts(path: Path, dataset: Dataset, made: Mapping[str, Sequence[Floats]]) -> None:
-    """Write unnormalised features (T, 276) of the test sequences, for each of WAYS.
+    """Write unnormalised features (T, 276) of the test sequences, for each of OUTPUTS.
 
     Raises:
         MotionkitError: the network predicted numbers that are not finite.
     """
     columns = _kept(dataset.layout)
-    arrays: dict[str, Any] = {"frames": np.array([len(each) for each in made[WAYS[0]]], np.int64)}
-    for way in WAYS:
-        values = dataset.scaling.normalize(np.concatenate(made[way]))[:, columns]
+    arrays: dict[str, Any] = {"frames": np.array([len(each) for each in made[OUTPUTS[0]]], np.int64)}
+    for output in OUTPUTS:
+        values = dataset.scaling.normalize(np.concatenate(made[output]))[:, columns]
         if not np.isfinite(values).all():
             raise MotionkitError(
                 f"{path}: the roll-out failed: the network predicts numbers that are not finite"
             )
         scale = np.maximum(np.abs(values).max(axis=0), 1e-9) / LEVELS
-        arrays |= {way: np.round(values / scale).astype(np.int16), f"{way}-scale": scale.astype(np.float32)}
+        arrays |= {
+            output: np.round(values / scale).astype(np.int16),
+            f"{output}-scale": scale.astype(np.float32),
+        }
     with atomic_write(path, "wb") as out:
         np.savez_compressed(out, **arrays)
 
 
 def read_rollouts(path: Path, dataset: Dataset, sequences: Sequence[HeldOut]) -> dict[str, list[Floats]]:
-    """Return the features (T, 276) of each of WAYS that keep_rollouts wrote, with no velocities of joints.
+    """Return the features (T, 276) of each of OUTPUTS that keep_rollouts wrote, with no velocities of joints.
 
     Raises:
         MotionkitError: the file is none, or not of these sequences.
@@ -62,14 +65,14 @@ def read_rollouts(path: Path, dataset: Dataset, sequences: Sequence[HeldOut]) ->
             arrays = dict(found)
         frames = [each.frames for each in sequences]
         if arrays["frames"].tolist() != frames or any(
-            arrays[way].shape != (sum(frames), len(columns)) for way in WAYS
+            arrays[output].shape != (sum(frames), len(columns)) for output in OUTPUTS
         ):
             raise MotionkitError(f"{path}: the roll-outs of other sequences; delete it and run it again")
         out = {}
-        for way in WAYS:
+        for output in OUTPUTS:
             whole = np.zeros((sum(frames), FEATURE_COUNT), np.float32)
-            whole[:, columns] = arrays[way] * arrays[f"{way}-scale"]
-            out[way] = np.split(dataset.scaling.denormalize(whole), np.cumsum(frames)[:-1])
+            whole[:, columns] = arrays[output] * arrays[f"{output}-scale"]
+            out[output] = np.split(dataset.scaling.denormalize(whole), np.cumsum(frames)[:-1])
         return out
     except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile):
         raise MotionkitError(

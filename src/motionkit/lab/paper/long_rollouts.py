@@ -17,7 +17,7 @@ from motionkit.arrays import Array, distances_between
 from motionkit.data.dataset import Dataset
 from motionkit.errors import ControlError, DatasetError, MotionkitError
 from motionkit.features.control import Controls
-from motionkit.lab.held_out import HeldOut, continued, decoded, stretches
+from motionkit.lab.held_out import HeldOut, continued, decoded
 from motionkit.lab.paper.datasets import is_dance
 from motionkit.lab.statistics import rounded
 from motionkit.models.model import MotionModel
@@ -46,32 +46,32 @@ class LongRollout:
     facts: dict[str, Any]
 
 
-def long_types(dataset: Dataset, asked: Sequence[str] = ()) -> list[str]:
+def long_types(dataset: Dataset, requested: Sequence[str] = ()) -> list[str]:
     """Return the types to roll out: those asked for, else walking, running and the dance with the longest test stretch.
 
     Raises:
         DatasetError: if one of them has no test clip.
     """
     counts: dict[str, int] = {}
-    for _, start, end, kind in stretches(dataset, "test"):
+    for _, start, end, kind in dataset.stretches("test"):
         counts[kind] = max(counts.get(kind, 0), end - start)
     dances = sorted((kind for kind in counts if is_dance(kind)), key=lambda k: (-counts[k], k))
-    kinds = list(asked) or ["walking", "running", *dances[:1]]
+    kinds = list(requested) or ["walking", "running", *dances[:1]]
     lacking = [kind for kind in kinds if counts.get(kind, 0) < INITIAL]
-    if lacking or not (asked or dances):
+    if lacking or not (requested or dances):
         raise DatasetError(
             f"{dataset.folder}: no test clip of {', '.join(lacking) or 'a dance'} to begin from"
         )
     return kinds
 
 
-def types_known(model: MotionModel, kinds: Sequence[str], asked: bool) -> list[str]:
+def types_known(model: MotionModel, kinds: Sequence[str], requested: bool) -> list[str]:
     """Return those of the types that a model knows.
 
     Raises:
-        ControlError: it does not know one of them that was asked for, or none.
+        ControlError: it does not know one that was requested, or none.
     """
-    if asked:
+    if requested:
         for kind in kinds:
             model.type_id(kind)
     known = [kind for kind in kinds if kind in model.types]
@@ -90,9 +90,9 @@ def check_layout(dataset: Dataset, model: MotionModel) -> None:
         )
 
 
-def beginning(dataset: Dataset, kind: str) -> HeldOut:
+def initial_stretch(dataset: Dataset, kind: str) -> HeldOut:
     """Return the first INITIAL frames of the longest stretch of a type in the test clips, and the frames after them."""
-    clip, start, end, _ = max(stretches(dataset, "test", kind), key=lambda each: each[2] - each[1])
+    clip, start, end, _ = max(dataset.stretches("test", kind), key=lambda each: each[2] - each[1])
     stretch = replace(clip, start=clip.start + start, frames=end - start)
     return HeldOut(stretch, dataset.read(stretch), INITIAL, end - start - INITIAL, kind)
 
@@ -114,7 +114,7 @@ def long_rollout(
     if not model.plain:
         raise MotionkitError("long roll-outs are for models that feed their own trajectory back (tptn-paper)")
     check_layout(dataset, model)
-    sequence = beginning(dataset, kind)
+    sequence = initial_stretch(dataset, kind)
     frames = round(seconds * model.fps)
     features = continued(
         model,
@@ -137,11 +137,11 @@ def _measured(dataset: Dataset, sequence: HeldOut, features: Array, motion: Moti
     poses, feet = layout.blocks["joint_positions"], layout.block_columns("joint_positions", FOOT_JOINTS)
     library = _poses(dataset, sequence.kind)
     made = _distances(features[:, poses], library)
-    held = float(_distances(recorded[:, poses], library).mean()) if len(recorded) else math.nan
+    recorded_distance = float(_distances(recorded[:, poses], library).mean()) if len(recorded) else math.nan
     parts = np.array_split(np.arange(len(features)), SPANS)
     return {
         "distance": [rounded(float(made[part].mean())) for part in parts],
-        "distance-recorded": rounded(held),
+        "distance-recorded": rounded(recorded_distance),
         "swing": [_swing(features[part][:, feet]) for part in parts],
         "swing-recorded": _swing(recorded[:, feet]),
         "speed": [_speed(motion, part) for part in parts],
@@ -185,8 +185,8 @@ def _swing(feet: Array) -> float:
 
 def _speed(motion: Motion, frames: Array) -> float:
     """Mean speed of the root over the ground in cm/s."""
-    way = np.diff(motion.root_positions[frames][:, [0, 2]].astype(np.float64), axis=0)
-    return rounded(float(np.linalg.norm(way, axis=1).mean()) * motion.fps)
+    steps = np.diff(motion.root_positions[frames][:, [0, 2]].astype(np.float64), axis=0)
+    return rounded(float(np.linalg.norm(steps, axis=1).mean()) * motion.fps)
 
 
 def fastest_recorded(dataset: Dataset, kind: str, frames: int) -> float:
@@ -195,12 +195,12 @@ def fastest_recorded(dataset: Dataset, kind: str, frames: int) -> float:
     Shorter stretches count as a whole if they last a second.
     """
     speeds = [0.0]
-    for clip, start, end, _ in stretches(dataset, "train", kind):
+    for clip, start, end, _ in dataset.stretches("train", kind):
         if end - start >= dataset.fps:
             ground = dataset.read(clip, start, end).ground[:, :2].astype(np.float64)
             steps = np.linalg.norm(np.diff(ground, axis=0), axis=1)
-            way, count = np.pad(steps.cumsum(), (1, 0)), min(len(steps), frames - 1)
-            speeds.append(float((way[count:] - way[:-count]).max()) / count * dataset.fps)
+            distance, count = np.pad(steps.cumsum(), (1, 0)), min(len(steps), frames - 1)
+            speeds.append(float((distance[count:] - distance[:-count]).max()) / count * dataset.fps)
     return rounded(max(speeds))
 
 

@@ -29,6 +29,7 @@ RESULT: Shape = {
     "group": str,
     "seed": int,
     "data": str,
+    "made": {"training": str, "test": str, "version": str},
     "longest": int,
     "parameters": int,
     "groups": {"all": MEANS},
@@ -80,7 +81,6 @@ OF_SCENES: Shape = {
         | {"paper": NUMBER_OR_NULL}
     ]
 }
-MADE: Shape = {"training": str, "test": str, "version": str}
 WORDS = {
     dict: "an object",
     list: "a list",
@@ -120,8 +120,8 @@ def check_result(result: Any) -> None:
             _check(result, OF_NETWORKS, "")
             if result["derivatives"]:  # of networks that predict a trajectory
                 _check(result["derivatives"], {"trajectory": float, "features": float}, "derivatives")
-    for field, shape in (("made", MADE), ("text", str), ("held-out", HELD_OUT), ("by-mean", {"all": MEANS})):
-        if field in result:  # results of before have none
+    for field, shape in (("text", str), ("held-out", HELD_OUT), ("by-mean", {"all": MEANS})):
+        if field in result:  # floors have not all of them
             _check(result[field], shape, field)
     for part, values in result["groups"].items():
         _check(values, MEANS, f"groups.{part}")
@@ -140,8 +140,8 @@ def _check(value: Any, shape: Shape, where: str) -> None:
             return
         shape = shape[0]
     plain = dict if isinstance(shape, dict) else list if isinstance(shape, list) else shape
-    wanted: Any = (int, float) if plain is float else plain
-    if not isinstance(value, wanted) or isinstance(value, bool) != (plain is bool):
+    expected: Any = (int, float) if plain is float else plain
+    if not isinstance(value, expected) or isinstance(value, bool) != (plain is bool):
         raise MotionkitError(f"{where or 'the whole'} is {value!r:.40}, expected {WORDS[plain]}")
     if isinstance(value, (int, float)) and abs(value) > LARGEST:
         raise MotionkitError(f"{where} is {value!r:.40}, expected at most {LARGEST:g}")
@@ -156,25 +156,23 @@ def _check(value: Any, shape: Shape, where: str) -> None:
             _check(each, shape[0], f"{where}[{number}]")
 
 
-def read_long(folder: Path) -> Results:
-    """Return the long roll-outs of all models in a folder. Raises MotionkitError for a file that holds none."""
-    return _read(folder, "long roll-outs", LONG)
+# What commands write for one model into the folder of the same name: in words, and what it has.
+OF_ONE_MODEL: dict[str, tuple[str, Shape]] = {
+    "scenes": ("all scenes", OF_SCENES),
+    "long": ("long roll-outs", LONG),
+    "bodies": ("bodies", BODIES),
+}
 
 
-def read_bodies(folder: Path) -> Results:
-    """Return what all models in a folder make of bodies. Raises MotionkitError for a file without."""
-    return _read(folder, "bodies", BODIES)
+def read_models(folder: Path, kind: str) -> Results:
+    """Return the results of one of OF_ONE_MODEL of all models in a folder, the shipped model's first.
 
-
-def read_scenes(folder: Path) -> Results:
-    """Return the scenes of all models in a folder. Raises MotionkitError for a file that lacks some."""
-    return _read(folder, "all scenes", OF_SCENES)
-
-
-def _read(folder: Path, what: str, shape: Shape) -> Results:
-    """The JSON objects of a folder, the shipped model's first, once each has all that the page takes from it."""
+    Raises:
+        MotionkitError: a file lacks something that the page takes from it.
+    """
+    what, shape = OF_ONE_MODEL[kind]
     out = []
-    names = [scene.name for scene in SCENES]
+    known = [(scene.figure, scene.name) for scene in SCENES]
     for path in sorted(folder.glob("*.json"), key=lambda p: (p.stem != "shipped", p.stem)):
         result = read_json(path, f"the results of {what}", MotionkitError)
         try:
@@ -183,7 +181,8 @@ def _read(folder: Path, what: str, shape: Shape) -> Results:
                 raise MotionkitError(f"model is {result['model']!r:.40}, expected a name of files")
             if not all(result[key] for key in shape if isinstance(shape[key], list)):
                 raise MotionkitError(f"{', '.join(shape)} is empty")
-            if "scenes" in shape and [scene["name"] for scene in result["scenes"]] != names:
+            # Pictures are named after them too.
+            if "scenes" in shape and [(each["figure"], each["name"]) for each in result["scenes"]] != known:
                 raise MotionkitError("scenes are missing, or others")
         except MotionkitError as error:
             raise MotionkitError(f"{path}: not the results of {what} ({error}); make them again") from None

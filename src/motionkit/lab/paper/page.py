@@ -165,18 +165,18 @@ def bodies_section(models: Sequence[dict[str, Any]], with_tables: bool = True) -
     """Return the section of the skeleton control signal: how far each model follows it, and a table for each."""
     if not models:
         return []
-    told = [slopes(each["performers"]) for each in models]
+    shares_of_models = [slopes(each["performers"]) for each in models]
     rows = [
         (f"{m['model']}, {m['type']}, {m['seeds']} seeds", *(f"{share:.2f}" for share in shares.values()))
-        for m, shares in zip(models, told, strict=True)
+        for m, shares in zip(models, shares_of_models, strict=True)
     ]
     title = "How much of a difference between performers is made (least squares; 1 is all)"
     parts = [BODIES.format(count=len(models[0]["performers"]))]
-    parts.append(markdown(Table(title, ("model", *told[0]), rows)))
+    parts.append(markdown(Table(title, ("model", *shares_of_models[0]), rows)))
     for each in models if with_tables else ():
         title = f"{each['model']}, {each['steps']} training steps in its last run: {each['type']}"
-        shown = tuple(bodies_row(row) for row in each["performers"])
-        parts.append(markdown(Table(title, BODIES_HEADER, shown)))
+        performers = tuple(bodies_row(row) for row in each["performers"])
+        parts.append(markdown(Table(title, BODIES_HEADER, performers)))
     return parts
 
 
@@ -188,7 +188,7 @@ repeating the last frame, **open loop** the distance of joints over a second of 
 move less or feet slide is decided by BM or AFS of roll-outs by mean. A claim **agrees** or **does not agree** where a
 measure tells and none tells otherwise; else it **cannot be told**. Verdicts hold for the training below.
 """
-SHOWN = "Networks of other papers, and floors"
+SUMMARY_TABLES = "Networks of other papers, and floors"
 
 
 @dataclass(frozen=True)
@@ -201,13 +201,7 @@ class Extras:
 
 
 def page(results: Results, extras: Extras | None = None, path: Path = Path("docs/experiments.md")) -> str:
-    """Return the page: the budget with most training on the small data set, scenes, and what holds for long.
-
-    Args:
-        results: of all data sets and budgets.
-        extras: what stands there besides.
-        path: where the page is to lie, with the pictures of scenes beside it.
-    """
+    """Return the page at a path: the budget with most training on the small data set, and results of single models."""
     extras = extras or Extras()
     main = _most_trained(results)
     here = [result for result in results if result["folder"] == main]
@@ -215,7 +209,7 @@ def page(results: Results, extras: Extras | None = None, path: Path = Path("docs
     others = [f"`{folder}`" for folder in protocol_folders(results) if folder != main]
     parts += [f"The same was run in {', '.join(others)}.\n"] if others else []
     parts += ["## What this can tell\n", LIMITS, *_findings(here, results)]
-    parts += [markdown(table) for table in tables(here) if table.title.startswith(SHOWN)]
+    parts += [markdown(table) for table in tables(here) if table.title.startswith(SUMMARY_TABLES)]
     parts += [*scenes_section(extras.scenes, path.parent), *long_section(extras.long)]
     return "\n".join([*parts, *bodies_section(extras.bodies, with_tables=False), RUN])
 
@@ -266,18 +260,8 @@ def _claims(results: Results) -> list[str]:
         here = [result for result in results if result["folder"] == folder]
         if here[0]["data"] == "D_L":
             table = claims_table(here, f"The paper's claims: `{folder}`")
-            parts += [markdown(_verdict_first(table)), f"{counts(here)}\n"] if table.rows else []
+            parts += [markdown(table), f"{counts(here)}\n"] if table.rows else []
     return ["## Verdicts\n", *parts, LEARNT] if parts else []
-
-
-def _verdict_first(table: Table) -> Table:
-    """The table with the verdict beside the claim, and the figures behind it."""
-    place = table.columns.index("verdict")
-
-    def moved(row: Sequence[Any]) -> tuple[Any, ...]:
-        return (row[0], row[place], *row[1:place], *row[place + 1 :])
-
-    return Table(table.title, moved(table.columns), tuple(map(moved, table.rows)))
 
 
 def _findings(here: Results, results: Results) -> list[str]:

@@ -61,14 +61,12 @@ def sequence_controls(dataset: Dataset, sequence: HeldOut, model: MotionModel) -
 def recorded_controls(data: ClipData, places: Array, count: int | None = None) -> Controls:
     """Return the control signals (T, ...) of a recording: its own types and trajectory.
 
-    Args:
-        places: for each type id of the recording that of the network.
-        count: the network's number of types, by default that of the recording's.
+    places are those of its type ids among the network's types, of which there are `count`, by default as many.
     """
     weights = blend_types(places[data.types], len(places) if count is None else count)
     trajectory = future_trajectory(data.ground, np.arange(len(data.types)))
-    asked = Controls.of_types(weights).with_mask(1.0)
-    return Controls(**vars(asked) | {"trajectory": trajectory, "types_ahead": types_ahead(weights)})
+    controls = Controls.of_types(weights).with_mask(1.0)
+    return Controls(**vars(controls) | {"trajectory": trajectory, "types_ahead": types_ahead(weights)})
 
 
 def truth_of(dataset: Dataset, sequence: HeldOut) -> Motion:
@@ -93,7 +91,7 @@ def measure(
         motion, truth = decoded(dataset, sequence, features), truth_of(dataset, sequence)
         windows = described(body_of(motion)), described(body_of(truth))
         values = _values(motion, truth)
-        values["class-accuracy"] = [_taken_for(dataset, sequence.kind, each) for each in windows]
+        values["class-accuracy"] = [_classified_as(dataset, sequence.kind, each) for each in windows]
         rows.append(
             {
                 "sequence": sequence.clip.name,
@@ -132,7 +130,7 @@ def measure(
     return {"groups": groups, "distribution": distribution, "sequences": rows}
 
 
-def _taken_for(dataset: Dataset, kind: str, windows: Array) -> float | None:
+def _classified_as(dataset: Dataset, kind: str, windows: Array) -> float | None:
     """The share of windows that the dataset's classifier takes for a type; None without one, or without windows."""
     return _of_sets(lambda: classified(_classifier(dataset), {kind: [windows]}, [])["class-accuracy"])
 

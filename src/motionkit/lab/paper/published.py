@@ -71,15 +71,10 @@ STUDIES = {
 }
 # BM of upper and lower body (section 5.5, "Feature fusion layer and consistency loss").
 BODY_MOVEMENT = {"recorded": (64.692, 43.645), "TPTN": (59.084, 38.165), "w/o-CL": (55.274, 37.234)}
-
-
-def paper_row(selection: str, name: str) -> Row | None:
-    """Return the paper's figures for a variant on a data set; None where it has none."""
-    table = {
-        "D_L": D_L,
-        "all": ALL_TESTS,
-        "all-mirrored": ALL_TESTS,
-        "no-dances": NON_DANCE,
-        "locomotion": PFNN_DATA,
-    }.get(selection, {})
-    return table.get(name)
+BY_DATA_SET = {
+    "D_L": D_L,
+    "all": ALL_TESTS,
+    "all-mirrored": ALL_TESTS,
+    "no-dances": NON_DANCE,
+    "locomotion": PFNN_DATA,
+}

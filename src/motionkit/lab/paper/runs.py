@@ -22,15 +22,14 @@ from motionkit.lab.floors import FLOORS
 from motionkit.lab.held_out import held_out
 from motionkit.lab.paper.batched_rollouts import roll_out
 from motionkit.lab.paper.datasets import described, select
-from motionkit.lab.paper.derivatives import control_derivatives
-from motionkit.lab.paper.held_out_errors import held_out_errors
-from motionkit.lab.paper.kept_rollouts import WAYS, keep_rollouts, read_rollouts, rollouts_file
+from motionkit.lab.paper.held_out_errors import control_derivatives, held_out_errors
+from motionkit.lab.paper.kept_rollouts import OUTPUTS, keep_rollouts, read_rollouts, rollouts_file
 from motionkit.lab.paper.model_results import check_result, made_from
 from motionkit.lab.paper.protocol import LONGEST, measure
 from motionkit.lab.paper.side_by_side import side_by_side
 from motionkit.lab.paper.variants import VARIANTS, Variant, chosen, parameters, variant
 from motionkit.lab.statistics import rounded
-from motionkit.locks import held
+from motionkit.locks import locked
 from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
 from motionkit.models.network import parameter_count
@@ -41,7 +40,7 @@ from motionkit.training.presets import train_options
 from motionkit.training.report import TrainEvent
 from motionkit.training.trainer import train
 
-CURVE_POINTS = 100  # of a training curve in a result
+CURVE_POINTS = 100  # points of a training curve in a result
 
 
 @dataclass(frozen=True)
@@ -49,9 +48,7 @@ class Plan:
     """What all runs of a call have in common: equal budgets.
 
     Attributes:
-        data: the dataset folder.
         selection: which data set of it (lab/paper/datasets.py).
-        budget: a name in BUDGETS.
         steps: training steps; the budget's by default.
         results, checkpoints: folders to write to.
         longest: frames that are made of a test sequence at most.
@@ -97,10 +94,7 @@ def options_of(plan: Plan, each: Variant, seed: int) -> TrainOptions:
 
 
 def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -> bool:
-    """Return whether the result of a run is there; results of before they had "made" count.
-
-    Args:
-        made: what a result of now would be made from, by made_from; None where that is not known.
+    """Return whether the result of a run is there; made is what a result of now would be made from, if that is known.
 
     Raises:
         MotionkitError: the result is damaged, or was made from other data, by other training, or with another number
@@ -116,15 +110,14 @@ def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -
             "--results, or delete it"
         )
     if "budget" in result:
-        found, wanted = result["budget"], budget_of(plan.budget, options_of(plan, each, seed), 0)
-        other = [name for name in wanted if name != "steps" and found.get(name) != wanted[name]]
+        found, expected = result["budget"], budget_of(plan.budget, options_of(plan, each, seed), 0)
+        other = [name for name in expected if name != "steps" and found.get(name) != expected[name]]
         if other:
             raise MotionkitError(
                 f"{file}: made with another {other[0]} of training; choose another --results, or delete it"
             )
-    found = result.get("made", made)
-    if made and found:
-        _check_clips(file, found, made, f"{plan.data} ({plan.selection})")
+    if made:
+        _check_clips(file, result["made"], made, f"{plan.data} ({plan.selection})")
     return True
 
 
@@ -155,11 +148,7 @@ def unfinished(plan: Plan, tasks: Sequence[Task]) -> list[Task]:
 
 
 def listed(plan: Plan, known: bool) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return a row of plain values for each variant, and why results are not counted.
-
-    Args:
-        known: whether the dataset is there, so that results of other data are not counted.
-    """
+    """Return a row for each variant, and why results are not counted; `known` says whether the dataset is there."""
     made = made_from(select(plan.data, plan.selection)) if known else None
     minutes, faults = _usual_minutes(plan), list[str]()
 
@@ -230,12 +219,13 @@ def run_one(
     file = result_file(plan, each, seed)
     dataset = select(plan.data, plan.selection)
     made = made_from(dataset)
-    with held(file, "making this result") as notes:
+    with locked(file, "making this result") as notes:
         for line in notes:
             say(line)
         if is_done(plan, each, seed, made):
             return file
-        result = heading(plan, each, seed, made) | {"text": described(dataset, plan.selection)}
+        result = {"name": each.name, "group": each.group, "seed": seed, "data": plan.selection, "made": made}
+        result["text"] = described(dataset, plan.selection)
         if each.preset:
             torch.set_num_threads(1)  # sums in one order, so that a seed gives the same figures
             if not trained:
@@ -246,11 +236,6 @@ def run_one(
         write_json(file, result)
     progress(1.0)
     return file
-
-
-def heading(plan: Plan, each: Variant, seed: int, made: dict[str, str]) -> dict[str, Any]:
-    """Return the first fields of a result: which run it is of."""
-    return {"name": each.name, "group": each.group, "seed": seed, "data": plan.selection, "made": made}
 
 
 def run_all(
@@ -363,8 +348,8 @@ def tested(plan: Plan, each: Variant, seed: int, dataset: Dataset, network: Pred
     sequences, labelled = held_out(dataset, plan.longest), not each.learns_contacts
     draws = [seed * 1009 + number for number in range(len(sequences))] + [None] * len(sequences)
     made = roll_out(network, dataset, sequences * 2, draws, device, labelled)
-    ways = dict(zip(WAYS, (made[: len(sequences)], made[len(sequences) :]), strict=True))
-    keep_rollouts(rollouts_file(result_file(plan, each, seed)), dataset, ways)
+    outputs = dict(zip(OUTPUTS, (made[: len(sequences)], made[len(sequences) :]), strict=True))
+    keep_rollouts(rollouts_file(result_file(plan, each, seed)), dataset, outputs)
     return {
         "longest": plan.longest,
         "held-out": held_out_errors(network, dataset, device, seed, labelled),
@@ -381,8 +366,8 @@ def measured(dataset: Dataset, file: Path, longest: int) -> dict[str, Any]:
     sequences = held_out(dataset, longest)
     made = read_rollouts(rollouts_file(file), dataset, sequences)
 
-    def of(way: str) -> dict[str, Any]:
-        return measure(dataset, lambda sequence, number: made[way][number], sequences, lambda share: None)
+    def of(output: str) -> dict[str, Any]:
+        return measure(dataset, lambda sequence, number: made[output][number], sequences, lambda share: None)
 
     return {**of("sample"), "by-mean": of("mean")["groups"]}
 

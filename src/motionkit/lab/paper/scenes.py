@@ -19,13 +19,13 @@ from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import MotionkitError
 from motionkit.lab.statistics import rounded
 from motionkit.models.model import MotionModel
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import MotionView
 
 WALK_SECONDS = 2.0  # of gaits in a sequence; other types last one performance
 DANCE_SECONDS = 8.0
 
 # Points in metres, x to the left and z ahead, and a type.
-Way = tuple[str, Sequence[tuple[float, float]]]
+PathSection = tuple[str, Sequence[tuple[float, float]]]
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,8 @@ class Scene:
     """What a figure shows.
 
     Attributes:
-        figure: its number in the paper.
-        name: for file names.
-        text: what is to be seen.
         types: motion types and seconds (None: one performance) in sequence, where there is no path.
-        ways: stretches of a path, each with its type.
+        sections: stretches of a path, each with its type.
         shape: a named shape in place of ways, with its size in metres and its types.
         paper: the paper's distance from the path, cm per frame.
     """
@@ -46,7 +43,7 @@ class Scene:
     name: str
     text: str
     types: tuple[tuple[str, float | None], ...] = ()
-    ways: tuple[Way, ...] = ()
+    sections: tuple[PathSection, ...] = ()
     shape: tuple[str, float, tuple[str, ...]] | None = None
     paper: float | None = None
 
@@ -58,7 +55,7 @@ def _waves(length: float, height: float, count: float, start: float, end: float)
     return list(zip(across.tolist(), (length * along).tolist(), strict=True))
 
 
-def _curved(kinds: Sequence[str], ends: Sequence[float]) -> tuple[Way, ...]:
+def _curved(kinds: Sequence[str], ends: Sequence[float]) -> tuple[PathSection, ...]:
     """One gentle curve of 15 m whose stretches end at these shares of it."""
     starts = (0.0, *ends)
     return tuple(
@@ -75,16 +72,16 @@ SCENES: tuple[Scene, ...] = (
     Scene("5b", "dance-female", "a dance", (("dance-indian", DANCE_SECONDS),)),
     Scene("5c", "dance-male", "a dance", (("dance-modern", DANCE_SECONDS),)),
     Scene("6", "curves", "walking a path with large curvatures",
-          ways=(("walking", _waves(9.0, 2.4, 3.0, 0.0, 1.0)),), paper=0.513),
+          sections=(("walking", _waves(9.0, 2.4, 3.0, 0.0, 1.0)),), paper=0.513),
     Scene("7a", "same-path-1", "running, side somersault, cartwheel, running",
-          ways=_curved(("running", "side-somersault", "cartwheel", "running"), (0.35, 0.5, 0.7, 1.0)), paper=1.988),
+          sections=_curved(("running", "side-somersault", "cartwheel", "running"), (0.35, 0.5, 0.7, 1.0)), paper=1.988),
     Scene("7b", "same-path-2", "the same path: running, whirlwind kick, side somersault, running",
-          ways=_curved(("running", "w-kicking", "side-somersault", "running"), (0.35, 0.5, 0.7, 1.0)), paper=1.749),
+          sections=_curved(("running", "w-kicking", "side-somersault", "running"), (0.35, 0.5, 0.7, 1.0)), paper=1.749),
     Scene("8", "complex", "jumping right, left, running, jumping left, right",
-          ways=tuple((kind, _waves(16.0, 2.5, 2.0, i / 5, (i + 1) / 5)) for i, kind in enumerate(
+          sections=tuple((kind, _waves(16.0, 2.5, 2.0, i / 5, (i + 1) / 5)) for i, kind in enumerate(
               ("jumping-r", "jumping-l", "running", "jumping-l", "jumping-r"))), paper=0.454),
     Scene("9a", "pentagram-corner", "running around a corner of a pentagram",
-          ways=(("running", ((0.0, 0.0), (0.0, 6.0))), ("running", ((6.0 * math.sin(math.radians(144.0)),
+          sections=(("running", ((0.0, 0.0), (0.0, 6.0))), ("running", ((6.0 * math.sin(math.radians(144.0)),
                 6.0 + 6.0 * math.cos(math.radians(144.0))),)))),
     Scene("9b", "u-turn", "a U-turn, walking and jumping left", shape=("u-turn", 7.0, ("walking", "jumping-l"))),
 )  # fmt: skip
@@ -95,7 +92,7 @@ class Made:
     """A scene as a model made it: what to show; on paths the distance (cm per frame), and whether the end was met."""
 
     scene: Scene
-    shown: Shown
+    view: MotionView
     distance: float | None = None
     finished: bool = True
 
@@ -128,16 +125,18 @@ def make_scene(model: MotionModel, scene: Scene, seed: int) -> Made:
             for kind, seconds in scene.types
         ]
         made = synthesize(model, parts, options).motions[0]
-        return Made(scene, Shown(title, made.motion, [(p.type, p.seconds) for p in made.types]))
+        return Made(scene, MotionView(title, made.motion, [(p.type, p.seconds) for p in made.types]))
     if scene.shape is not None:
         name, size, kinds = scene.shape
         path = shape_path(name, size, list(kinds), None)
     else:
-        path = make_path([PathPart(np.array(points) * METRE, kind) for kind, points in scene.ways])
+        path = make_path([PathPart(np.array(points) * METRE, kind) for kind, points in scene.sections])
     found = follow_path(model, path, options)
     seconds = [frames / model.fps for frames in found.part_frames]
     bands = [(part.type, spent) for part, spent in zip(path.parts, seconds, strict=True)]
-    return Made(scene, Shown(title, found.motion, bands, path.points), found.distance.mean, found.finished)
+    return Made(
+        scene, MotionView(title, found.motion, bands, path.points), found.distance.mean, found.finished
+    )
 
 
 def scene_facts(made: Sequence[Made]) -> dict[str, Any]:
@@ -148,7 +147,7 @@ def scene_facts(made: Sequence[Made]) -> dict[str, Any]:
         "figure": scene.figure,
         "name": scene.name,
         "text": scene.text,
-        "seconds": [round(each.shown.motion.seconds, 2) for each in made],
+        "seconds": [round(each.view.motion.seconds, 2) for each in made],
         "distances": [rounded(d) for d in distances],
         "finished": sum(each.finished for each in made),
         "paper": scene.paper,

@@ -17,7 +17,7 @@ from motionkit.control.synthesize import on_character
 from motionkit.data.dataset import Dataset
 from motionkit.features.encode import encode_motion
 from motionkit.files import write_json
-from motionkit.lab.held_out import Continue, HeldOut, held_out, recorded_motion
+from motionkit.lab.held_out import Continue, HeldOut, held_out
 from motionkit.lab.paper.model_results import SHIPPED_GROUP, made_from
 from motionkit.lab.paper.protocol import measure
 from motionkit.lab.paper.variants import variant
@@ -36,7 +36,7 @@ def shipped_continues(model: MotionModel, dataset: Dataset, seed: int) -> Contin
 
     def continues(sequence: HeldOut, number: int) -> Array:
         body, first = dataset.skeleton(sequence.clip), sequence.initial
-        recorded = recorded_motion(dataset, sequence, body)
+        recorded = dataset.motion(sequence.clip, sequence.data)
         standard = on_character(recorded, model.character("default"))
         encoded = encode_motion(standard, model.reference_rotations, model.config.layout)
         data = replace(
@@ -83,16 +83,10 @@ def run_shipped(
             measured = measure(
                 dataset, shipped_continues(model, dataset, seed), sequences, lambda share: None
             )
-            result = {
-                "name": name,
-                "group": GROUP,
-                "seed": seed,
-                "data": selection,
-                "longest": longest,
-                "made": made_from(dataset),
-            }
+            result = {"name": name, "group": GROUP, "seed": seed, "data": selection, "longest": longest}
+            result |= {"made": made_from(dataset), "parameters": 0, **measured}
             file = folder / f"{name.replace(' ', '-')}-{seed}.json"
-            write_json(file, {**result, "parameters": 0, **measured})
+            write_json(file, result)
             out.append(file)
             progress(len(out) / (seeds * len(models)))
     return out

@@ -18,7 +18,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from types import FrameType
 
-from motionkit.data.workers import ctrl_c_held
+from motionkit.data.workers import ctrl_c_blocked
 from motionkit.errors import MotionkitError
 from motionkit.interrupts import postpone
 
@@ -52,7 +52,7 @@ def side_by_side(
 ) -> Generator[Path, None, None]:
     """Do named works, so many at a time, and yield each file as it is written.
 
-    Where the iterator is left early, by Ctrl-C or an error, works in flight are told to stop, and are waited for: a
+    Where the iterator is left early, by Ctrl-C or an error, works in flight are asked to stop, and are waited for: a
     training ends after its step and writes its checkpoint. What has not begun never does. A second Ctrl-C ends all at
     once.
 
@@ -83,7 +83,7 @@ def _start(name: str, work: partial[Path]) -> _Running:
     process = multiprocessing.get_context("spawn").Process(target=_serve, args=(work, theirs), daemon=True)
     if os.name == "posix":
         resource_tracker.ensure_running()  # else the first start would begin it, and let Ctrl-C through again
-    with ctrl_c_held():  # the key reaches all processes of a terminal; the parent decides
+    with ctrl_c_blocked():  # the key reaches all processes of a terminal; the parent decides
         process.start()
     theirs.close()  # so that the end of the process ends what is heard
     return _Running(name, process, ours)
@@ -115,14 +115,14 @@ def _stop(running: Sequence[_Running]) -> None:
             each.process.kill()
 
 
-def _serve(work: partial[Path], told: Connection) -> None:
+def _serve(work: partial[Path], parent: Connection) -> None:
     """Do a work in this process; a parent that stops, or dies, stops it."""
     signal.signal(signal.SIGTERM, _interrupt)
     threading.Thread(target=_stop_with_parent, daemon=True).start()
 
     def tell(kind: str, value: object) -> None:
         with suppress(OSError):  # nobody listens any more
-            told.send((kind, value))
+            parent.send((kind, value))
 
     try:
         tell("result", work(lambda share: tell("share", share)))

@@ -12,7 +12,7 @@ from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write, files_below
 from motionkit.lab.paper.ttest import FORMAT
 from motionkit.rig.canonical import load_canonical
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import MotionView
 from motionkit.view.viewer import viewer_page
 
 RECORDING = "recording"
@@ -30,7 +30,6 @@ def write_study(folder: Path, output: Path, seed: int = 0) -> int:
 
     Args:
         folder: one folder per group, with recording.bvh and a BVH file per model.
-        seed: of the order of the models, which differs from group to group.
 
     Raises:
         MotionkitError: there are no groups, one lacks its recording, two have different models, or two files of a
@@ -87,7 +86,7 @@ def _section(name: str, files: dict[str, Path], order: list[str]) -> str:
     clips = [("recording", files[RECORDING]), *zip(letters, (files[n] for n in order), strict=True)]
     frames = []
     for title, path in clips:
-        view = viewer_page([Shown(title, load_canonical(path)[0])], title, bare=True)
+        view = viewer_page([MotionView(title, load_canonical(path)[0])], title, bare=True)
         escaped = html.escape(view, quote=True)
         frames.append(
             f'<figure><iframe loading="lazy" srcdoc="{escaped}"></iframe><figcaption>{title}</figcaption></figure>'

@@ -10,7 +10,7 @@ from typing import Any
 
 from motionkit.lab.paper.datasets import SELECTIONS
 from motionkit.lab.paper.protocol import means
-from motionkit.lab.paper.published import BODY_MOVEMENT, paper_row
+from motionkit.lab.paper.published import BODY_MOVEMENT, BY_DATA_SET
 from motionkit.lab.paper.shipped import GROUP
 from motionkit.lab.paper.variants import VARIANTS, Variant
 from motionkit.lab.statistics import Figure, figure
@@ -18,6 +18,9 @@ from motionkit.names import counted
 from motionkit.tables import Table
 
 Results = Sequence[dict[str, Any]]
+NumberColumn = tuple[
+    str, tuple[str, ...], int
+]  # title of a column, path to its number in a result, digits after the point
 
 
 @dataclass(frozen=True)
@@ -25,10 +28,7 @@ class Column:
     """A column of figures.
 
     Attributes:
-        metric: its id in results.
-        title: with its unit.
         goal: "truth" if the best value is nearest to the recorded one, "low" or "high".
-        digits: after the point.
         paper: place in the paper's rows, -1 for none.
     """
 
@@ -59,8 +59,8 @@ RESEARCH = (
     Column("skate-ratio", "foot skate", "low", 3),
     Column("jerk", "jerk (m/s³)", "truth", 0),
 )
-# Whether a network performs what its control input says: EBTN, told to twist, does not (section 5.5).
-TAKEN_FOR = Column("class-accuracy", "taken for its type", "high", 2)
+# Whether a network performs what its control input says: EBTN, asked to twist, does not (section 5.5).
+CLASSIFIED_AS = Column("class-accuracy", "taken for its type", "high", 2)
 PARTS_MOVED = (
     Column("bm-upper", "BM of the upper body", "truth", 1),
     Column("bm-lower", "BM of the lower body", "truth", 1),
@@ -89,18 +89,28 @@ def names_of(results: Results) -> list[str]:
     return list(dict.fromkeys(result["name"] for result in results))
 
 
+def number(result: dict[str, Any], *path: str | int) -> float | None:
+    """Return the number at a path of keys and places in a result; None where it has none."""
+    value: Any = result
+    for key in path:
+        if value is None:
+            return None
+        value = value.get(key) if isinstance(value, dict) else value[key]
+    return value
+
+
+def figure_at(results: Results, *path: str | int) -> Figure | None:
+    """Return the figure of the numbers at a path over results of one variant; None where no run has one."""
+    return figure([float(value) for result in results if (value := number(result, *path)) is not None])
+
+
 def figure_of(results: Results, metric: str, group: str = "all", recorded: bool = False) -> Figure | None:
     """Return a metric's figure over results of one variant; None where no run has it."""
-    values = []
-    for result in results:
-        pair = result["groups"].get(group, {}).get(metric)
-        if pair is not None and pair[recorded] is not None:
-            values.append(float(pair[recorded]))
-    return figure(values)
+    return figure_at(results, "groups", group, metric, int(recorded))
 
 
 def clear_best(figures: dict[str, Figure], column: Column, truth: Figure | None) -> str | None:
-    """Return who is best by more than the spread over seeds, None if nobody is or the seeds cannot tell."""
+    """Return which network is best by more than the spread over seeds; None if none is or the seeds are too few."""
 
     def loss(figure: Figure) -> float:
         return column.loss(figure.mean, truth)
@@ -142,8 +152,8 @@ def _shipped_tables(results: Results) -> list[Table]:
             kept = _of_names(each, names)
             if kept and each["group"] in (GROUP, "tptn", "baselines", "floors"):
                 by_name[each["name"]].append(each | {"groups": {"all": means(kept)}})
-        own = [Variant(name, GROUP, "") for name in names_of(shipped)]
-        members = [*own, *(v for v in VARIANTS if v.name in by_name)]
+        bundled = [Variant(name, GROUP, "") for name in names_of(shipped)]
+        members = [*bundled, *(v for v in VARIANTS if v.name in by_name)]
         title = f"The shipped model as shipped, on {len(names)} recordings it has not seen: {_named(folder)}"
         out.append(_table(title, "", members, by_name, MAIN))
     return out
@@ -177,10 +187,10 @@ def _folder_tables(folder: str, results: Results) -> list[Table]:
             continue
         columns = (*MAIN, *PARTS_MOVED) if group == "fusion" else MAIN
         # The paper has variants of its network on the small data set alone.
-        told = selection if selection == "D_L" or group == "baselines" else ""
-        if not told:
+        paper_set = selection if selection == "D_L" or group == "baselines" else ""
+        if not paper_set:
             title = title.partition(" (")[0]
-        out.append(_table(f"{title}: {_named(folder)}", told, present, by_name, columns))
+        out.append(_table(f"{title}: {_named(folder)}", paper_set, present, by_name, columns))
         if group == "baselines":
             for part in ("non-dance", "dance"):
                 if any(part in r["groups"] for r in results) and any("dance" in r["groups"] for r in results):
@@ -191,11 +201,16 @@ def _folder_tables(folder: str, results: Results) -> list[Table]:
             out.append(
                 _table(f"Metrics of other papers: {_named(folder)}", selection, present, by_name, RESEARCH)
             )
-            out.append(_distribution(f"Sets of motions: {_named(folder)}", present, by_name))
+            names = [v.name for v in present]
+            out.append(_distribution(f"Sets of motions: {_named(folder)}", names, by_name))
     for name in ("TPTN", "EBTN"):
         out.append(_by_type(f"{name} by type of motion: {_named(folder)}", by_name.get(name, [])))
-    out += _held_out_tables(_named(folder), [v for v in VARIANTS if v.name in by_name], by_name)
-    out.append(_derivatives(f"Derivatives of the predicted trajectory: {_named(folder)}", by_name))
+    names = [v.name for v in VARIANTS if v.name in by_name]
+    out += _held_out_tables(_named(folder), names, by_name)
+    with_gains = [name for name in names if figure_at(by_name[name], *GAINS[0][1])]
+    out.append(
+        _plain(f"Derivatives of the predicted trajectory: {_named(folder)}", GAINS, with_gains, by_name)
+    )
     return [table for table in out if table.rows]
 
 
@@ -241,15 +256,15 @@ def _by_type(title: str, results: Results) -> Table:
         }
         for result in results
     ]
-    columns = (*MAIN, TAKEN_FOR) if figure_of(results, TAKEN_FOR.metric) else MAIN
+    columns = (*MAIN, CLASSIFIED_AS) if figure_of(results, CLASSIFIED_AS.metric) else MAIN
     rows = []
     for kind in kinds:
         frames = sum(row["frames"] for row in results[0]["sequences"] if row["type"] == kind)
         made = [figure_of(by_kind, column.metric, kind) for column in columns]
         truth = [figure_of(by_kind, column.metric, kind, recorded=True) for column in columns]
         cells = [
-            _beside(_cell(own, column.digits), "" if real is None else round(real.mean, column.digits))
-            for column, own, real in zip(columns, made, truth, strict=True)
+            _beside(_cell(value, column.digits), "" if real is None else round(real.mean, column.digits))
+            for column, value, real in zip(columns, made, truth, strict=True)
         ]
         rows.append((kind, str(frames), *cells))
     return Table(title, ("", "frames", *(column.title for column in columns)), tuple(rows))
@@ -259,7 +274,7 @@ def _paper_value(selection: str, name: str, column: Column) -> float | str:
     if column in PARTS_MOVED:
         pair = BODY_MOVEMENT.get(name) if selection == "D_L" else None
         return "" if pair is None else pair[PARTS_MOVED.index(column)]
-    row = paper_row(selection, name)
+    row = BY_DATA_SET.get(selection, {}).get(name)
     return "" if row is None or column.paper < 0 else row[column.paper]
 
 
@@ -285,105 +300,94 @@ def _parameters(v: Variant, results: Results) -> str:
     return ours if v.paper_parameters is None else f"{ours} ({v.paper_parameters:g})"
 
 
-# Titles of columns of sets of motions, and the fields of "distribution" that they show.
-OF_SETS = (
-    ("Frechet distance (fid-pose)", "fid-pose", 2),
-    ("diversity", "diversity", 2),
-    ("accuracy of a classifier (class-accuracy)", "class-accuracy", 3),
-    ("Frechet distance of its features (fid-class)", "fid-class", 2),
-)
-
-
-def _distribution(title: str, variants: Sequence[Variant], by_name: dict[str, list[dict[str, Any]]]) -> Table:
-    def values(name: str, field: str) -> list[float]:
-        return [value for r in by_name[name] if (value := r["distribution"].get(field)) is not None]
-
-    shown = [of for of in OF_SETS if any(values(v.name, of[1]) for v in variants)]
+def _plain(
+    title: str,
+    columns: Sequence[NumberColumn],
+    names: Sequence[str],
+    by_name: dict[str, list[dict[str, Any]]],
+    above: Sequence[tuple[str, ...]] = (),
+    seeds: bool = False,
+) -> Table:
+    """A table of numbers as they are in results: a row for each network, below those that are given."""
     rows = [
-        (v.name, *(_cell(figure(values(v.name, field)), digits) for _, field, digits in shown))
-        for v in variants
+        (
+            name,
+            *([str(len(by_name[name]))] if seeds else []),
+            *(_cell(figure_at(by_name[name], *path), digits) for _, path, digits in columns),
+        )
+        for name in names
     ]
+    heads = ("", *(["seeds"] if seeds else []), *(head for head, _, _ in columns))
+    return Table(title, heads, (*above, *rows))
+
+
+OF_SETS: tuple[NumberColumn, ...] = (
+    ("Frechet distance (fid-pose)", ("distribution", "fid-pose"), 2),
+    ("diversity", ("distribution", "diversity"), 2),
+    ("accuracy of a classifier (class-accuracy)", ("distribution", "class-accuracy"), 3),
+    ("Frechet distance of its features (fid-class)", ("distribution", "fid-class"), 2),
+)
+
+
+def _distribution(title: str, names: Sequence[str], by_name: dict[str, list[dict[str, Any]]]) -> Table:
+    columns = [of for of in OF_SETS if any(figure_at(by_name[name], *of[1]) for name in names)]
     recorded = {"fid-pose": "0.00", "fid-class": "0.00", "class-accuracy": "-"}
-    recorded["diversity"] = _cell(figure(values(variants[0].name, "diversity-gt")[:1]), 2)
-    rows.insert(0, ("recorded", *(recorded[field] for _, field, _ in shown)))
-    return Table(title, ("", *(name for name, _, _ in shown)), tuple(rows))
+    recorded["diversity"] = _cell(figure_at(by_name[names[0]][:1], "distribution", "diversity-gt"), 2)
+    above = ("recorded", *(recorded[path[-1]] for _, path, _ in columns))
+    return _plain(title, columns, names, by_name, [above])
 
 
-# Titles of columns, the fields of "held-out" that they show, and digits after the point.
-AHEAD = (
-    ("likelihood", ("nll",), 1),
-    ("trajectory's likelihood", ("nll-trajectory",), 1),
-    *((name, ("error", name), 3) for name in ("rotations", "positions", "velocities", "root", "trajectory")),
+AHEAD: tuple[NumberColumn, ...] = (
+    ("likelihood", ("held-out", "nll"), 1),
+    ("trajectory's likelihood", ("held-out", "nll-trajectory"), 1),
+    *(
+        (name, ("held-out", "error", name), 3)
+        for name in ("rotations", "positions", "velocities", "root", "trajectory")
+    ),
 )
-OPEN_LOOP = (
-    *((f"joints, {name} s (cm)", ("open-loop", "mean", f"mpjpe-{name}"), 2) for name in ("0.25", "0.5", "1")),
-    ("root, 1 s (cm)", ("open-loop", "mean", "root-1"), 2),
-    ("joints of a sample, 1 s (cm)", ("open-loop", "sample", "mpjpe-1"), 2),
-    ("BM by mean (deg/frame)", ("bm", "mean"), 1),
-    ("BM of a sample (deg/frame)", ("bm", "sample"), 1),
+OPEN_LOOP: tuple[NumberColumn, ...] = (
+    *(
+        (f"joints, {name} s (cm)", ("held-out", "open-loop", "mean", f"mpjpe-{name}"), 2)
+        for name in ("0.25", "0.5", "1")
+    ),
+    ("root, 1 s (cm)", ("held-out", "open-loop", "mean", "root-1"), 2),
+    ("joints of a sample, 1 s (cm)", ("held-out", "open-loop", "sample", "mpjpe-1"), 2),
+    ("BM by mean (deg/frame)", ("held-out", "bm", "mean"), 1),
+    ("BM of a sample (deg/frame)", ("held-out", "bm", "sample"), 1),
 )
-
-
-def held_out_value(result: dict[str, Any], path: Sequence[str]) -> float | None:
-    """Return a number below "held-out" of a result; None where it has none."""
-    value: Any = result.get("held-out")
-    for key in path:
-        value = value.get(key) if isinstance(value, dict) else None
-    return value
 
 
 def _held_out_tables(
-    named_folder: str, variants: Sequence[Variant], by_name: dict[str, list[dict[str, Any]]]
+    named_folder: str, names: Sequence[str], by_name: dict[str, list[dict[str, Any]]]
 ) -> list[Table]:
     """Errors one frame ahead and in open loop, on the same windows and from the same frames for all networks."""
-    members = [v for v in variants if any("held-out" in r for r in by_name[v.name])]
+    members = [name for name in names if any("held-out" in r for r in by_name[name])]
     if not members:
         return []
-    one = next(r for r in by_name[members[0].name] if "held-out" in r)
-    copied = [("repeated", "copy"), ("going on", "extrapolation")]
-    first: list[tuple[str, ...]] = []
-    for name, way in copied:
-        cells = [_known([held_out_value(one, (way, path[-1]))], digits) for _, path, digits in AHEAD]
-        first.append((name, "", *cells))
-    recorded = [
-        _known([held_out_value(one, ("bm", "recorded"))], 1) if path[0] == "bm" else ""
-        for _, path, _ in OPEN_LOOP
-    ]
-    out = []
-    for title, columns, above in (
-        ("One frame ahead, on held-out clips", AHEAD, first),
-        ("A second in open loop, from held-out frames", OPEN_LOOP, [("recorded", "", *recorded)]),
-    ):
-        rows = [
-            (
-                v.name,
-                str(len(by_name[v.name])),
-                *(
-                    _known([held_out_value(r, path) for r in by_name[v.name]], digits)
-                    for _, path, digits in columns
-                ),
-            )
-            for v in members
-        ]
-        out.append(
-            Table(f"{title}: {named_folder}", ("", "seeds", *(name for name, *_ in columns)), (*above, *rows))
+    one = [next(r for r in by_name[members[0]] if "held-out" in r)]
+    copied = [
+        (
+            name,
+            "",
+            *(_cell(figure_at(one, "held-out", method, path[-1]), digits) for _, path, digits in AHEAD),
         )
-    return out
+        for name, method in (("repeated", "copy"), ("going on", "extrapolation"))
+    ]
+    moved = _cell(figure_at(one, "held-out", "bm", "recorded"), 1)
+    recorded = ("recorded", "", *(moved if "bm" in path else "" for _, path, _ in OPEN_LOOP))
+    return [
+        _plain(f"{title}: {named_folder}", columns, members, by_name, above, seeds=True)
+        for title, columns, above in (
+            ("One frame ahead, on held-out clips", AHEAD, copied),
+            ("A second in open loop, from held-out frames", OPEN_LOOP, [recorded]),
+        )
+    ]
 
 
-def _known(values: Sequence[float | None], digits: int) -> str:
-    """A cell of the values that are there."""
-    return _cell(figure([value for value in values if value is not None]), digits)
-
-
-def _derivatives(title: str, by_name: dict[str, list[dict[str, Any]]]) -> Table:
-    rows = []
-    for v in VARIANTS:
-        found = [r["derivatives"] for r in by_name.get(v.name, []) if r.get("derivatives")]
-        if found:
-            gains = (figure([d[key] for d in found]) for key in ("trajectory", "features"))
-            rows.append((v.name, *(_cell(gain, 2) for gain in gains)))
-    return Table(title, ("", "by the trajectory fed in", "by the features fed in"), tuple(rows))
+GAINS: tuple[NumberColumn, ...] = (
+    ("by the trajectory fed in", ("derivatives", "trajectory"), 2),
+    ("by the features fed in", ("derivatives", "features"), 2),
+)
 
 
 def budget_lines(results: Results) -> list[str]:
@@ -406,9 +410,7 @@ def budget_lines(results: Results) -> list[str]:
                 f" Each network: {b['steps']} steps of {b['batch']} windows of {b['window']} frames, "
                 f"rate {b['rate']:g}; {minutes} ({trained[0]['timing']['machine']})."
             )
-            if "config" not in b:
-                line += " By an earlier protocol: AdamW without warm-up, a trajectory head without skip."
-            elif b["config"]:
+            if b.get("config"):
                 words = ", ".join(f"{option} {value:g}" for option, value in b["config"].items())
                 line += f" Part transformers differ from the paper's in {words}, because training is short."
         most = f"At most {here[0]['longest']} frames are made of a sequence."
@@ -421,16 +423,16 @@ def _test_set(here: Results) -> str:
     rows = here[0]["sequences"]
     mirrored = sum("(mirrored)" in row["sequence"] for row in rows)
     frames = sum(row["frames"] for row in rows)
-    said = f"Tested on {len(rows)} sequences, {frames:,} frames"
-    said += f", {mirrored} of them mirror images of training clips." if mirrored else "."
+    text = f"Tested on {len(rows)} sequences, {frames:,} frames"
+    text += f", {mirrored} of them mirror images of training clips." if mirrored else "."
     moved = {round(each.mean, 2) for r in here if (each := figure_of([r], "bm-euler", recorded=True))}
     if len(moved) > 1:
         least, most = min(moved), max(moved)
-        said += (
+        text += (
             " The recordings were prepared at different times by changing code, so that the recorded BM of these "
             f"results goes from {least:.2f} to {most:.2f}."
         )
-    return said
+    return text
 
 
 def _command(here: list[dict[str, Any]], folder: str) -> str:

@@ -58,7 +58,6 @@ class Stack:
     """The seeds of one network.
 
     Attributes:
-        options: of the training of each seed.
         learners: one for all seeds, or one per seed where torch cannot stack the network.
         streams: one per learner, on a GPU.
         log: steps, seconds and, by name, the losses (S,) of all seeds.
@@ -71,7 +70,7 @@ class Stack:
 
     def step(self, batch: Batch, at: Progress, logs: bool) -> None:
         """Make a step with a batch (S, B, ...), on a GPU at the same time as other stacks."""
-        parts = [batch] if self.learners[0].seeds > 1 else _seeds(batch)
+        parts = [batch] if self.learners[0].seeds > 1 else [batch[i] for i in range(len(batch.inputs))]
         lines = []
         for i, (learner, part) in enumerate(zip(self.learners, parts, strict=True)):
             with torch.cuda.stream(self.streams[i]) if self.streams else nullcontext():
@@ -82,12 +81,6 @@ class Stack:
                     lines.append({name: value.reshape(-1).clone() for name, value in terms.items()})
         if logs:
             self.log.append((at.step + 1, at.seconds, _joined(lines)))
-
-
-def _seeds(batch: Batch) -> list[Batch]:
-    """Return the batch of each seed."""
-    count = len(batch.inputs)
-    return [Batch(**{name: value[i] for name, value in vars(batch).items()}) for i in range(count)]
 
 
 def _joined(lines: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
@@ -138,8 +131,8 @@ def train_together(
     while at.share < 1.0:
         logs = at.step % logged == 0 or at.step + 1 == options.steps
         # Kept until the streams of all have been waited for: memory that is free takes the next batch at once.
-        given = [next(batches) for batches, _ in groups]
-        for batch, (_, group) in zip(given, groups, strict=True):
+        inputs = [next(batches) for batches, _ in groups]
+        for batch, (_, group) in zip(inputs, groups, strict=True):
             for each in group:
                 each.step(batch, at, logs)
         for stream in (stream for each in stacks for stream in each.streams):
@@ -164,10 +157,7 @@ def _batches(
     size = options[0].optimizer.batch
 
     def made(step: int) -> Batch:
-        batches = [sampler.batch(step, size) for sampler in samplers]
-        return Batch(
-            **{name: torch.stack([vars(each)[name] for each in batches]) for name in vars(batches[0])}
-        )
+        return Batch.joined([sampler.batch(step, size) for sampler in samplers], torch.stack)
 
     loader = StepLoader(made, device.type == "cuda")
     try:
@@ -188,12 +178,14 @@ def run_together(
     progress: Callable[[float], None],
 ) -> Generator[Path, None, None]:
     """As run_all, but part transformers train together, and `jobs` processes test them; other runs come after them."""
-    own = [(each, seed) for each, seed in tasks if _trains_together(plan, each)]
-    others = [task for task in tasks if task not in own]
-    share = len(own) / max(1, len(tasks))
-    if own:
-        train_all(plan, own, say, lambda done: progress(0.7 * share * done))
-        works = [(f"{each.name}, seed {seed}", partial(_test, plan, each.name, seed)) for each, seed in own]
+    grouped = [(each, seed) for each, seed in tasks if _trains_together(plan, each)]
+    others = [task for task in tasks if task not in grouped]
+    share = len(grouped) / max(1, len(tasks))
+    if grouped:
+        train_all(plan, grouped, say, lambda done: progress(0.7 * share * done))
+        works = [
+            (f"{each.name}, seed {seed}", partial(_test, plan, each.name, seed)) for each, seed in grouped
+        ]
         yield from side_by_side(works, jobs, say, lambda done: progress(share * (0.7 + 0.3 * done)))
     yield from run_all(plan, others, jobs, say, lambda done: progress(share + (1.0 - share) * done))
 
@@ -234,7 +226,7 @@ def train_all(
         changes |= {"steps": None, "minutes": minutes}
     alike = list(dict.fromkeys(seeds.values()))
     for number, found in enumerate(alike):
-        names = [name for name, own in seeds.items() if own == found]
+        names = [name for name, of_name in seeds.items() if of_name == found]
         say(f"{counted(len(names), 'network')} with {counted(len(found), 'seed')} each, together")
         stacks = {
             name: stack(
@@ -262,11 +254,11 @@ def _write(plan: Plan, each: Variant, trained: Stack, dataset: Dataset) -> None:
     for i, (options, average) in enumerate(zip(trained.options, weights, strict=True)):
         path = model_file(plan, each, options.seed)
         network = trained.learners[0].network
-        own = build(network.config, network.control_size)
-        own.load_state_dict(average)
+        averaged = build(network.config, network.control_size)
+        averaged.load_state_dict(average)
         card = {"options": options.to_dict(), "steps": plan.steps, "machine": machine(plan.device)}
         (path.with_suffix(".run")).mkdir(parents=True, exist_ok=True)
-        save_model(path, bundle_model(own.weights(), dataset, card, references=False), False)
+        save_model(path, bundle_model(averaged.weights(), dataset, card, references=False), False)
         with atomic_write(path.with_suffix(".run") / "log.jsonl", "w") as file:
             for step, seconds, losses in trained.log:
                 numbers = {name: float(value[i]) for name, value in losses.items()}

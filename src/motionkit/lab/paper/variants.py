@@ -22,9 +22,6 @@ class Variant:
     """Something that predicts motion, and how it is trained.
 
     Attributes:
-        name: as in the paper's tables.
-        group: one of GROUPS.
-        text: what it is, in a line.
         preset: the preset or architecture it changes; "" for floors, which are not trained.
         config: fields of the network's config that differ from the preset.
         options: options of training that differ from the paper's.
@@ -144,12 +141,12 @@ def parameters(each: Variant, types: int = 21) -> int:
 
 def chosen(words: tuple[str, ...]) -> list[Variant]:
     """Return the variants that names, groups and "all" stand for, in the order of the table."""
-    wanted: set[str] = set()
+    names: set[str] = set()
     for word in words:
         if word == "all":
-            wanted |= {each.name for each in VARIANTS}
+            names |= {each.name for each in VARIANTS}
         elif word in GROUPS:
-            wanted |= {each.name for each in VARIANTS if each.group == word}
+            names |= {each.name for each in VARIANTS if each.group == word}
         else:
-            wanted.add(variant(word).name)
-    return [each for each in VARIANTS if each.name in wanted]
+            names.add(variant(word).name)
+    return [each for each in VARIANTS if each.name in names]

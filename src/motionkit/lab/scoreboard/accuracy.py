@@ -27,23 +27,21 @@ class Calibration:
     """How recordings score on the detector of a type.
 
     Attributes:
-        type: the name of the type.
-        windows: number of recorded windows of the type.
-        shown: number of these windows that the detector accepts.
+        windows, accepted: its recorded windows, and those that the detector accepts.
         failing: clips with rejected windows.
         others: share of accepted windows for each other type, where it is at least MEASURED_CONFUSION.
     """
 
     type: str
     windows: int
-    shown: int
+    accepted: int
     failing: tuple[str, ...]
     others: dict[str, float]
 
     @property
     def share(self) -> float | None:
         """Share of the type's own windows that the detector accepts; None without windows."""
-        return self.shown / self.windows if self.windows else None
+        return self.accepted / self.windows if self.windows else None
 
 
 def calibrate(judge: Judge, kinds: tuple[str, ...]) -> list[Calibration]:
@@ -51,7 +49,7 @@ def calibrate(judge: Judge, kinds: tuple[str, ...]) -> list[Calibration]:
 
     A recording is compared with the poses of other clips only. Recordings shorter than half a window are left out.
     """
-    own: dict[str, list[bool]] = defaultdict(list)
+    accepted: dict[str, list[bool]] = defaultdict(list)
     failing: dict[str, list[str]] = defaultdict(list)
     others: dict[str, dict[str, list[bool]]] = {kind: defaultdict(list) for kind in kinds}
     for stretch in judge.real.stretches:
@@ -59,19 +57,21 @@ def calibrate(judge: Judge, kinds: tuple[str, ...]) -> list[Calibration]:
             if stretch.body.seconds < LEAST_WINDOW * window:
                 continue
             for part in detection_windows(stretch.body, window):
-                shown = _shown(judge, [k for k in kinds if judge.window(k) == window], part, stretch.clip)
-                for kind, shows in shown.items():
+                detected = _detected_types(
+                    judge, [k for k in kinds if judge.window(k) == window], part, stretch.clip
+                )
+                for kind, shows in detected.items():
                     if kind != stretch.type:
                         others[kind][stretch.type].append(shows)
                         continue
-                    own[kind].append(shows)
+                    accepted[kind].append(shows)
                     if not shows and stretch.name not in failing[kind]:
                         failing[kind].append(stretch.name)
     return [
         Calibration(
             kind,
-            len(own[kind]),
-            sum(own[kind]),
+            len(accepted[kind]),
+            sum(accepted[kind]),
             tuple(failing[kind]),
             {
                 other: sum(found) / len(found)
@@ -95,11 +95,11 @@ def accuracy_section(trial: Trial, progress: Progress) -> Section:
     real = {c.type: c for c in calibrate(trial.judge, kinds)}
     rows: list[tuple[Cell, ...]] = []
     for each in found:
-        own, none = real[each.type], alone.get(each.type)
+        calibration, none = real[each.type], alone.get(each.type)
         row: tuple[Cell, ...] = (each.type, each.training_clips, each.share, each.raw_share, each.joint_speed)
         if bare is not None:
             row += (None if none is None else none.share, None if none is None else none.joint_speed)
-        rows.append((*row, own.share, own.windows))
+        rows.append((*row, calibration.share, calibration.windows))
     columns: tuple[str, ...] = ("type", "training clips", "accuracy", "raw", "joint speed / real")
     if bare is not None:
         columns += ("without references", "joint speed / real, without")
@@ -173,12 +173,12 @@ def _goals(
             limits = f"{LIVELY[0]:g} to {LIVELY[1]:g}"
             goals.append(Goal(f"joint speed of {each.type} / real", each.joint_speed, limits, *LIVELY))
     if alone:
-        shown = [each for each in alone if is_shown(judge, each)]
-        failing = [each.type for each in alone if each not in shown]
+        reached = [each for each in alone if is_reached(judge, each)]
+        failing = [each.type for each in alone if each not in reached]
         what = f"types shown without reference recordings, of {len(alone)}"
         note = f"not shown: {', '.join(failing)}" if failing else ""
-        goals.append(at_least(what, len(shown), TARGET_ALONE, note))
-    shares = {kind: own.share for kind, own in real.items() if own.share is not None}
+        goals.append(at_least(what, len(reached), TARGET_ALONE, note))
+    shares = {kind: calibration.share for kind, calibration in real.items() if calibration.share is not None}
     failing = [kind for kind, share in shares.items() if share < TARGET_REAL]
     if shares:
         good = 1.0 - len(failing) / len(shares)
@@ -188,7 +188,7 @@ def _goals(
     return goals
 
 
-def _shown(judge: Judge, kinds: list[str], body: Body, clip: int) -> dict[str, bool]:
+def _detected_types(judge: Judge, kinds: list[str], body: Body, clip: int) -> dict[str, bool]:
     """Return which types a recorded window shows. One measurement of pose distances serves all types."""
     detectors = {kind: judge.detector(kind) for kind in kinds}
     out = {kind: found.shows(body) for kind, found in detectors.items() if found is not None}
@@ -203,7 +203,7 @@ def _target(each: TypeAccuracy) -> float:
     return TARGET_ONE if each.training_clips == 1 else TARGET_MANY
 
 
-def is_shown(judge: Judge, each: TypeAccuracy) -> bool:
+def is_reached(judge: Judge, each: TypeAccuracy) -> bool:
     """Whether a type is shown in enough roll-outs, and moves as much in their mean as its recordings."""
     speed = each.joint_speed
     lively = judge.detector(each.type) is not None or (speed is not None and LIVELY[0] <= speed <= LIVELY[1])
@@ -215,30 +215,27 @@ class TypeAccuracy:
     """Action accuracy of one type.
 
     Attributes:
-        type: the name of the type.
-        rollouts: number of roll-outs.
-        shown: number of roll-outs in which the type is detected.
-        raw_shown: the same for the raw network output; None if it was not judged.
-        joint_speed: mean joint speed divided by that of the recordings; None without recordings.
-        training_clips: number of training clips of the type.
+        detected: roll-outs in which the type is detected.
+        raw_detected: the same for the raw network output; None if it was not judged.
+        joint_speed: its mean divided by that of the recordings; None without recordings.
     """
 
     type: str
     rollouts: int
-    shown: int
-    raw_shown: int | None
+    detected: int
+    raw_detected: int | None
     joint_speed: float | None
     training_clips: int
 
     @property
     def share(self) -> float:
         """Share of the roll-outs in which the type is detected."""
-        return self.shown / self.rollouts
+        return self.detected / self.rollouts
 
     @property
     def raw_share(self) -> float | None:
         """The same for the raw network output."""
-        return None if self.raw_shown is None else self.raw_shown / self.rollouts
+        return None if self.raw_detected is None else self.raw_detected / self.rollouts
 
 
 def measure_accuracy(
@@ -250,11 +247,7 @@ def measure_accuracy(
     """Command every type in turn, from standing and from walking, and count how often it is performed.
 
     Each roll-out performs a neutral type for NEUTRAL_SECONDS and is then commanded its own type for
-    settings.accuracy_seconds.
-
-    Args:
-        kinds: the types to measure; all types of the model if None.
-        model: another model to roll out, such as the one without reference recordings; its raw output is not judged.
+    settings.accuracy_seconds. The raw output of another model, such as the one without references, is not judged.
     """
     raw = model is None
     model, judge, settings = model or trial.model, trial.judge, trial.settings

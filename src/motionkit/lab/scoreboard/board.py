@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -62,29 +62,33 @@ SECTIONS: dict[str, Measure] = {
 ON_REQUEST = ("types", "classes")
 
 
-def evaluate_model(
-    model: MotionModel,
-    dataset: Dataset,
-    settings: EvaluationSettings | None = None,
+def evaluate(
+    dataset: str | Path | Dataset,
+    *,
+    model: MotionModel | None = None,
     only: Iterable[str] = (),
-    progress: SectionProgress | None = None,
+    settings: EvaluationSettings | None = None,
     jobs: int = 1,
+    progress: SectionProgress | None = None,
 ) -> Scoreboard:
-    """Measure a model against the recordings of a dataset.
+    """The scoreboard of a model against the recordings of a dataset folder (docs/evaluation.md).
 
     Args:
-        settings: how many roll-outs to make, and how long; the defaults if None.
-        only: names of the sections to measure; all but those of ON_REQUEST if empty.
-        progress: called with the section's name and the share of it that is done.
+        model: the bundled model by default.
+        only: names of the sections to measure; all but those of ON_REQUEST by default.
+        settings: how much is measured, on which split, with or without reference recordings; the test split, 20
+            roll-outs of each type by default.
         jobs: processes that roll out; the result does not depend on them.
+        progress: called with the section's name and the share of it that is done.
 
     Raises:
-        ControlError: if a section is unknown.
-        DatasetError: if the dataset has none of the model's types, or another frame rate.
+        ControlError: for an unknown section.
+        DatasetError: for a folder that is no dataset, has none of the model's types, or another frame rate.
     """
-    settings = settings or EvaluationSettings()
-    wanted = list(only) or [name for name in SECTIONS if name not in ON_REQUEST]
-    for name in wanted:
+    model, settings = model or open_model(None), settings or EvaluationSettings()
+    dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
+    chosen = list(only) or [name for name in SECTIONS if name not in ON_REQUEST]
+    for name in chosen:
         if name not in SECTIONS:
             raise ControlError(unknown_name("section", name, tuple(SECTIONS)))
     if not set(model.types) & set(dataset.types):
@@ -96,7 +100,7 @@ def evaluate_model(
     with worker_processes(jobs) as each:
         trial = Trial(model.with_reference(settings.reference), dataset, judge, settings, each)
         for name in SECTIONS:
-            if name in wanted:
+            if name in chosen:
                 began = time.perf_counter()
 
                 def report(share: float, name: str = name) -> None:
@@ -107,27 +111,3 @@ def evaluate_model(
                 section = SECTIONS[name](trial, report)
                 sections.append(replace(section, seconds=time.perf_counter() - began))
     return Scoreboard(settings.as_dict(), sections)
-
-
-def evaluate(
-    dataset: str | Path,
-    *,
-    model: MotionModel | None = None,
-    only: Sequence[str] = (),
-    settings: EvaluationSettings | None = None,
-    jobs: int = 1,
-) -> Scoreboard:
-    """The scoreboard of a model against the recordings of a dataset folder (docs/evaluation.md).
-
-    Args:
-        model: the bundled model by default.
-        only: names of the sections to measure; all by default.
-        settings: how much is measured, on which split, with or without reference recordings; the test split, 20
-            roll-outs of each type by default.
-        jobs: processes that roll out; the result does not depend on them.
-
-    Raises:
-        ControlError: for an unknown section.
-        DatasetError: for a folder that is no dataset, or does not fit the model.
-    """
-    return evaluate_model(model or open_model(None), Dataset(dataset), settings, only, jobs=jobs)

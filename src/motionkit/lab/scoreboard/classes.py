@@ -22,15 +22,15 @@ def classes_section(trial: Trial, progress: Progress) -> Section:
     progress(0.2)
     takes = trial.alone(lambda share: progress(0.2 + 0.7 * share))
     made = {kind: [described(take.default) for take in mine] for kind, mine in takes.items()}
-    held = {
+    recorded = {
         kind: [described(stretch.body) for stretch in trial.real.of_type(kind, trial.real.held_out)]
         for kind in takes
     }
     training = list(recorded_windows(trial.dataset, "train").values())
-    sides = [classified(classifier, motions, training) for motions in (made, held)]
+    sides = [classified(classifier, motions, training) for motions in (made, recorded)]
     rows: list[tuple[Cell, ...]] = [("all", *(side[name].value for name in sides[0] for side in sides))]
     for kind in takes:
-        of_kind = [classified(classifier, {kind: motions[kind]}, []) for motions in (made, held)]
+        of_kind = [classified(classifier, {kind: motions[kind]}, []) for motions in (made, recorded)]
         both = {name: [side[name].value for side in of_kind] for name in ("class-accuracy", "multimodality")}
         rows.append((kind, *both["class-accuracy"], None, None, *both["multimodality"]))
     columns = (

@@ -37,8 +37,10 @@ def gaits_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: each gait alone, circles beside motion matching, and the steps of all types."""
     takes = trial.alone(lambda share: progress(0.6 * share))
     default = {kind: [take.default for take in found] for kind, found in takes.items()}
-    own = {kind: [shown.default for take in found for shown in take.shown()] for kind, found in takes.items()}
-    parts = [_steadiness(trial, default), _steps(trial, own)]
+    by_type = {
+        kind: [part.default for take in found for part in take.performed()] for kind, found in takes.items()
+    }
+    parts = [_steadiness(trial, default), _steps(trial, by_type)]
     if circles := _circles(trial, lambda share: progress(0.6 + 0.4 * share)):
         parts.append(circles)
     settings = trial.settings
@@ -64,8 +66,8 @@ def gaits_section(trial: Trial, progress: Progress) -> Section:
 def _speeds(body: Body) -> Array:
     """Speeds (N,) of the root over the ground in m/s, each over SPEED_SECONDS; none for a shorter motion."""
     span = round(SPEED_SECONDS * body.fps)
-    way = body.positions[:, 0, [0, 2]]
-    return np.linalg.norm(way[span:] - way[:-span], axis=-1) / (100.0 * SPEED_SECONDS)
+    places = body.positions[:, 0, [0, 2]]
+    return np.linalg.norm(places[span:] - places[:-span], axis=-1) / (100.0 * SPEED_SECONDS)
 
 
 def _variation(body: Body) -> float:
@@ -95,20 +97,20 @@ def _steadiness(trial: Trial, default: dict[str, list[Body]]) -> tuple[Table, li
     return Table("Steadiness", columns, rows), goals
 
 
-def _steps(trial: Trial, own: dict[str, list[Body]]) -> tuple[Table, list[Goal]]:
+def _steps(trial: Trial, by_type: dict[str, list[Body]]) -> tuple[Table, list[Goal]]:
     rows: list[tuple[Cell, ...]] = []
-    asked, failing = [], []
-    for kind, bodies in own.items():
+    measured, failing = [], []
+    for kind, bodies in by_type.items():
         recorded = [s.body for s in trial.real.of_type(kind)]
         if not recorded:
             continue
         made, real = _rate(bodies), _rate(recorded)
         rows.append((kind, made, real, made / real if real else None))
         if real >= FEWEST_STEPS and trial.model.kind(kind) is not MotionKind.PERFORMANCE:
-            asked.append(kind)
+            measured.append(kind)
             if not STEP_RATES[0] <= made / real <= STEP_RATES[1]:
                 failing.append(kind)
-    goal = all_of("steps a second within 1.2 times recorded: share of types", asked, failing)
+    goal = all_of("steps a second within 1.2 times recorded: share of types", measured, failing)
     return Table("Steps", ("type", "steps a second", "recorded", "/ recorded"), rows), [goal]
 
 

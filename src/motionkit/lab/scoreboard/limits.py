@@ -16,7 +16,7 @@ from motionkit.metrics.body_movement import geodesic_movement
 from motionkit.metrics.pace import ground_acceleration
 from motionkit.training.verdict.real import RealMotion
 
-REAL_SHARE = 0.999  # of the recorded frames are below a limit
+REAL_SHARE = 0.999  # share of the recorded frames that are below a limit
 
 
 def turn_limit(real: RealMotion) -> tuple[float, float]:
@@ -28,10 +28,7 @@ def turn_limit(real: RealMotion) -> tuple[float, float]:
 
 
 def acceleration_limit(real: RealMotion, kinds: Collection[str] | None = None) -> float | None:
-    """Return the limit of the acceleration over the ground in m/s^2, over recordings of some types, or of all.
-
-    None without recordings that are long enough.
-    """
+    """Return the limit of acceleration over the ground in m/s^2, over recordings of some types or all; None without."""
     chosen = [s.body for s in real.stretches if kinds is None or s.type in kinds]
     frames = np.concatenate([np.zeros(0), *map(accelerations, chosen)])
     return _limit(frames) if len(frames) else None

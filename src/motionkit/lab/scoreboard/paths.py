@@ -1,4 +1,4 @@
-"""Path following (paper 5.2): distance from each path, and the speed and braking of those who follow it."""
+"""Path following (paper 5.2): distance from each path, and the speed and braking of bodies that follow it."""
 
 from __future__ import annotations
 
@@ -29,26 +29,20 @@ from motionkit.motion.floor import foot_positions
 from motionkit.tables import Cell, Table
 from motionkit.training.verdict.rolling import Progress, Walk, grouped, roll_paths
 
-SPEED_SHARE = 0.15  # by which the speed may differ from the asked one
+SPEED_SHARE = 0.15  # largest difference from the requested speed, as a share of it
 STANDING_SPEED = 0.15  # m/s; a root slower than this stands
-STOP_SECONDS, STOP_SHARE = 2.0, 0.75  # how long a path asks to stand, and the share of it to stand at least
+STOP_SECONDS, STOP_SHARE = 2.0, 0.75  # seconds of a stop on a path, and the least share of them to stand
 
 
 @dataclass(frozen=True)
 class PathTrial:
-    """A path with its name and its target.
-
-    Attributes:
-        target: the largest mean distance in cm.
-        speeds: those asked for in m/s, of the first parts.
-        stands: seconds to stand somewhere on the way.
-    """
+    """A path, its target in cm, m/s asked for in its first parts, and seconds to stand somewhere on the way."""
 
     name: str
     path: Path2D
     target: float
     speeds: tuple[float, ...] = ()
-    stands: float = 0.0
+    stop_seconds: float = 0.0
 
 
 def path_trials(
@@ -56,10 +50,7 @@ def path_trials(
 ) -> list[PathTrial]:
     """Return the paths of the scoreboard at usual speeds.
 
-    Args:
-        walking, running: the types to walk and to run with.
-        performance: a type to perform in the middle of a run; None for a model without any.
-        hops: types that hop along, before and after a run.
+    A performance is shown in the middle of a run, if there is one; types that hop along come before and after a run.
     """
     corner = SHAPES["pentagram"](6.0 * METRE)[:3]
     trials = [
@@ -150,17 +141,18 @@ def paths_section(trial: Trial, progress: Progress) -> Section:
         )
     roles = find_roles(trial)
     usual = path_trials(*gaits, next(iter(roles.performances), None), roles.hops)
-    asked = speed_trials(*gaits, roles.gaits.stand)
-    tasks = [(t.path, seed) for t in (*usual, *asked) for seed in trial.seeds(settings.repeats)]
+    requested = speed_trials(*gaits, roles.gaits.stand)
+    tasks = [(t.path, seed) for t in (*usual, *requested) for seed in trial.seeds(settings.repeats)]
     walks = roll_paths(model, tasks, settings.noise, trial.each, progress)
     groups = grouped(walks, settings.repeats)
     first, goals = _distances(trial, usual, groups[: len(usual)])
-    second, more = _speeds(trial, asked, groups[len(usual) :])
+    second, more = _speeds(trial, requested, groups[len(usual) :])
     notes = [
         f"{settings.repeats} characters per path, as follow-path makes them by default; raw: feet not locked; "
         "distance: from the root to the nearest point of the path (path-mean, path-max), over all frames until the "
         "end; mean over characters, and the largest; slip: mean speed over the ground of toes less than "
-        f"{LOW:g} cm above a standing one; motion matching: over the training clips, feet locked",
+        f"{LOW:g} cm above a standing one; recorded: all recordings of the path's types; "
+        "motion matching: over the training clips, feet locked",
         "speed: mean over each part without its first and last second, against the one that follow-path goes at, which "
         "for a gait is no slower or faster than its recordings look right; acceleration: largest of the root over the "
         f"ground, between velocities over 0.2 s, against what {REAL_SHARE:.1%} of the recorded frames of the path's "
@@ -176,9 +168,7 @@ class Followed:
 
     Attributes:
         mean: mean distance from the path in cm, over characters.
-        largest: the largest distance in cm.
         raw: the mean distance of the raw network output.
-        finished: characters that reached the end.
         seconds: mean time until the end, or until a character gave up.
         coverage: least share of the path that a character covered.
         flight: longest time in seconds in which nothing touched the ground.
@@ -235,7 +225,7 @@ def _distances(
         ends = f"{found.finished} of {len(walks)}"
         rows.append((
             each.name, found.mean, found.largest, found.raw, ends, found.seconds, found.coverage, found.flight, slips,
-            *matched,
+            _recorded_slip(trial, each.path), *matched,
         ))  # fmt: skip
         note = "" if found.finished == len(walks) else f"finished {ends}"
         name = f"{each.name}: mean distance, cm"
@@ -255,10 +245,17 @@ def _distances(
         "least coverage",
         "longest flight, s",
         "slip, cm/s",
+        "recorded: slip, cm/s",
         "motion matching: mean distance, cm",
         "motion matching: slip, cm/s",
     )
     return Table("Distance from the path", columns, rows), goals
+
+
+def _recorded_slip(trial: Trial, path: Path2D) -> float | None:
+    kinds = sorted({part.type for part in path.parts})
+    recordings = [each.body for kind in kinds for each in trial.real.of_type(kind)]
+    return slip(recordings) if recordings else None
 
 
 def _speeds(trial: Trial, trials: list[PathTrial], groups: list[Sequence[Walk]]) -> tuple[Table, list[Goal]]:
@@ -271,7 +268,7 @@ def _speeds(trial: Trial, trials: list[PathTrial], groups: list[Sequence[Walk]])
         limit = acceleration_limit(trial.real, {part.type for part in each.path.parts})
         most = max(float(accelerations(body).max()) for body in bodies)
         lean, needed = (float(np.mean(found)) for found in zip(*map(leaning, bodies), strict=True))
-        stood = min(_standing_seconds(body) for body in bodies) if each.stands else None
+        stood = min(_standing_seconds(body) for body in bodies) if each.stop_seconds else None
         rows.append((
             each.name,
             ", ".join(f"{speed:.2f}" for speed in means),
@@ -287,12 +284,12 @@ def _speeds(trial: Trial, trials: list[PathTrial], groups: list[Sequence[Walk]])
             lean,
             needed,
         ))  # fmt: skip
-        gone = (part_speeds(trial.model, each.path) / METRE).tolist()[: len(each.speeds)]
-        off = max(abs(found / speed - 1.0) for found, speed in zip(means, gone, strict=True))
-        said = "; ".join(other_speeds(trial.model, each.path))
-        goals.append(at_most(f"{each.name}: speed off by", off, SPEED_SHARE, said, ".0%"))
+        planned = (part_speeds(trial.model, each.path) / METRE).tolist()[: len(each.speeds)]
+        off = max(abs(found / speed - 1.0) for found, speed in zip(means, planned, strict=True))
+        note = "; ".join(other_speeds(trial.model, each.path))
+        goals.append(at_most(f"{each.name}: speed off by", off, SPEED_SHARE, note, ".0%"))
         if stood is not None:
-            least = STOP_SHARE * each.stands
+            least = STOP_SHARE * each.stop_seconds
             goals.append(at_least(f"{each.name}: stands, s", stood, least))
         if limit is not None:
             goals.append(at_most(f"{each.name}: acceleration / real", most / limit, 1.0))
@@ -349,11 +346,11 @@ def leaning(body: Body) -> tuple[float, float]:
     """
     velocity = body.velocity
     sine, cosine = np.sin(body.heading), np.cos(body.heading)
-    way = np.stack(
+    local = np.stack(
         [velocity[:, 0] * cosine + velocity[:, 1] * sine, velocity[:, 1] * cosine - velocity[:, 0] * sine], -1
     )
-    speed = np.maximum(np.linalg.norm(way, axis=-1), 1e-6)
-    angle = np.unwrap(np.arctan2(way[:, 0], way[:, 1]))
+    speed = np.maximum(np.linalg.norm(local, axis=-1), 1e-6)
+    angle = np.unwrap(np.arctan2(local[:, 0], local[:, 1]))
     edge = max(1, round(SPEED_SPAN * body.fps / 2))  # where the velocity is that of the frames inside
     inside = angle[edge:-edge]
     rate = float(
@@ -361,7 +358,7 @@ def leaning(body: Body) -> tuple[float, float]:
     )  # radians a second, to the left
     if abs(rate) < 0.05:
         return 0.0, 0.0
-    left = np.stack([way[:, 1], -way[:, 0]], axis=-1) / speed[:, None]
+    left = np.stack([local[:, 1], -local[:, 0]], axis=-1) / speed[:, None]
     feet = 0.5 * (body.positions[:, 3] + body.positions[:, 7])
     trunk = body.positions[:, 12] - feet
     aside = (trunk[:, [0, 2]] * left).sum(axis=-1)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.character_start import last_poses
+from motionkit.control.recording_choice import frames_behind
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.speeds import acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, finished, unfinished
-from motionkit.data.dataset import Dataset
-from motionkit.features.control import Controls
+from motionkit.data.dataset import ClipData, Dataset
+from motionkit.features.control import Controls, blend_types, future_trajectory
 from motionkit.inference.rollout import RolloutState, run
 from motionkit.inference.start import INIT_FRAMES
 from motionkit.lab.floors import last_frame, motion_matching, nearest_clip
-from motionkit.lab.held_out import LEAST_REST, Continue, HeldOut, compared, decoded, held_out, recorded_motion
+from motionkit.lab.held_out import LEAST_REST, Continue, HeldOut, compared, decoded, held_out
 from motionkit.lab.scoreboard.report import Goal, Section, at_most
-from motionkit.lab.scoreboard.sequence_controls import SequenceControls
 from motionkit.lab.scoreboard.settings import EvaluationSettings
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.lab.statistics import weighted_mean
@@ -40,6 +43,47 @@ Means = dict[
 ]  # by type or "all", and variant: metric to its mean over frames
 
 
+class SequenceControls:
+    """Asks one character for what a recording does after its first frames; a Controller for a batch of one.
+
+    The trajectory is where the recording lies on the ground, as a path is (paper section 5.2): it leads a body
+    beside it back. Types other than gaits get reference clips, which follow it as closely as they do in synthesis.
+    """
+
+    def __init__(self, model: MotionModel, types: tuple[str, ...], data: ClipData, initial: int) -> None:
+        """Take the names of the recording's types, its data, and how many of its frames are given."""
+        self.model, self.types, self.data, self.initial = model, types, data, initial
+        places = np.array([model.type_id(kind) if kind in model.types else 0 for kind in types])
+        self.weights = blend_types(places[data.types], len(model.types))
+        # The recording's trajectory says when it rests.
+        self.player, self.kind = ReferencePlayer(model, rests=True), ""
+        self.near: Array | None = last_poses(model, data.features[:initial])
+
+    @property
+    def types_used(self) -> list[str]:
+        """The recording's types that the model has."""
+        return [name for i in np.unique(self.data.types) if (name := self.types[i]) in self.model.types]
+
+    def __call__(self, frame: int, ground: Array) -> Controls:
+        at = np.array([min(self.initial + frame, len(self.data.types) - 1)])
+        trajectory = future_trajectory(self.data.ground, at, ground)
+        kind = self.types[self.data.types[at[0]]]
+        if kind not in self.model.types or self.model.kind(kind).steered:
+            controls = replace(Controls.of_types(self.weights[at]), trajectory=trajectory)
+            return replace(controls, phase=self.data.phases[at]).with_mask(1.0)
+        if kind != self.kind:
+            self._begin(kind, trajectory[0])
+        controls = self.player.play(1, trajectory)
+        phase = controls.phase if controls.reference_gain.any() else self.data.phases[at]
+        return replace(controls, type_weights=self.weights[at], phase=phase).with_mask(1.0)
+
+    def _begin(self, kind: str, trajectory: Array) -> None:
+        """Begin reference clips of a type; the first go on from the frames that were given."""
+        behind = 0 if self.near is None else frames_behind(self.model, kind, self.near)
+        self.player.begin(kind, self.near, behind, trajectory)
+        self.kind, self.near = kind, None
+
+
 def held_out_clips(
     model: MotionModel, dataset: Dataset, longest: float, split: str = "test"
 ) -> list[HeldOut]:
@@ -61,28 +105,28 @@ def roll_like(
 ) -> list[Take]:
     """Roll out every clip from its first frames with its own types, trajectory and phase (SequenceControls)."""
     frames = max(clip.frames for clip in clips)
-    asked = [SequenceControls(model, dataset.types, clip.data, clip.initial) for clip in clips]
+    recordings = [SequenceControls(model, dataset.types, clip.data, clip.initial) for clip in clips]
 
     def controls(frame: int, ground: Array) -> Controls:
-        return Controls.concatenated([ask(frame, ground[i : i + 1]) for i, ask in enumerate(asked)])
+        return Controls.concatenated([ask(frame, ground[i : i + 1]) for i, ask in enumerate(recordings)])
 
     state = RolloutState(model, len(clips), settings.noise, settings.first_seed)
     state.start(
         [c.data.features[: c.initial] for c in clips],
         [c.data.contacts[: c.initial] for c in clips],
-        np.stack([ask.weights[0] for ask in asked]),
+        np.stack([ask.weights[0] for ask in recordings]),
         np.stack([c.data.ground[c.initial - 1] for c in clips]),
     )
     rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
     skeleton = model.character("default")
     takes = []
     for index, clip in enumerate(clips):
-        # The way is given, as on a path: feet that are locked do not change it.
+        # The trajectory is given, as on a path: feet that are locked do not change it.
         mine, options = rollout.first(clip.frames), SynthesisOptions(raw=True)
-        most = acceleration_limit(model, asked[index].shown)
-        held, raw = finished(model, unfinished(model, mine, index, skeleton, most), skeleton, options)
+        most = acceleration_limit(model, recordings[index].types_used)
+        locked, raw = finished(model, unfinished(model, mine, index, skeleton, most), skeleton, options)
         assert raw is not None, "the options ask for it"
-        takes.append(Take(body_of(held), body_of(raw)))
+        takes.append(Take(body_of(locked), body_of(raw)))
     return takes
 
 
@@ -125,7 +169,7 @@ def _measured(trial: Trial, clips: list[HeldOut], progress: Progress) -> Means:
         lambda: defaultdict(list)
     )
     for number, clip in enumerate(repeated):
-        recorded = recorded_motion(trial.dataset, clip, trial.model.character("default"))
+        recorded = data.motion(clip.clip, clip.data, trial.model.character("default"))
         candidates = {name: made[number] for name, made in takes.items()}
         if number < len(clips):
             candidates |= _baselines(trial, clip, recorded, floors)
@@ -193,8 +237,8 @@ def _why_none(model: MotionModel, dataset: Dataset, split: str) -> str:
     long = [clip for clip in clips if clip.frames >= least]
     if not long:
         return f"not measured: none of the {len(clips)} {split} clips has {least} frames"
-    held = {dataset.types[kind] for clip in long for kind in np.unique(dataset.clip_types(clip)).tolist()}
-    unknown = ", ".join(sorted(held - set(model.types)))
+    present = {dataset.types[kind] for clip in long for kind in np.unique(dataset.clip_types(clip)).tolist()}
+    unknown = ", ".join(sorted(present - set(model.types)))
     return f"not measured: the {len(long)} {split} clips hold types that the model does not have: {unknown}"
 
 

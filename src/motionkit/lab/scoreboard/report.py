@@ -14,7 +14,6 @@ class Goal:
     """A measured value and its target.
 
     Attributes:
-        what: what was measured.
         value: the measured value; None if it could not be measured.
         target: the target in words.
         lowest, highest: the target as limits; None for no limit.
@@ -42,14 +41,14 @@ class Goal:
         return out | {"reached": self.reached} | ({"note": self.note} if self.note else {})
 
 
-def at_most(what: str, value: float | None, limit: float, note: str = "", shown: str = "g") -> Goal:
+def at_most(what: str, value: float | None, limit: float, note: str = "", number_format: str = "g") -> Goal:
     """Return the goal that a value is at most a limit, which its target shows in a format."""
-    return Goal(what, value, f"≤ {limit:{shown}}", None, limit, note)
+    return Goal(what, value, f"≤ {limit:{number_format}}", None, limit, note)
 
 
-def at_least(what: str, value: float | None, limit: float, note: str = "", shown: str = "g") -> Goal:
+def at_least(what: str, value: float | None, limit: float, note: str = "", number_format: str = "g") -> Goal:
     """Return the goal that a value is at least a limit, which its target shows in a format."""
-    return Goal(what, value, f"≥ {limit:{shown}}", limit, None, note)
+    return Goal(what, value, f"≥ {limit:{number_format}}", limit, None, note)
 
 
 def all_of(what: str, kinds: Sequence[str], failing: Sequence[str]) -> Goal:
@@ -64,10 +63,7 @@ class Section:
 
     Attributes:
         name: the name --only takes.
-        title: the heading.
-        tables, goals: the measured values.
         notes: definitions and settings behind the numbers, and what was left out.
-        seconds: time the measurement took.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Response time: seconds from a command until the motion shows it (the responsiveness of Starke et al. 2020).
 
 Characters are driven as in live control: a Driver turns the current wish into controls. The response is the first
-frame from which the command's condition holds for HELD_SECONDS. Velocities are measured over windows around a
+frame from which the command's condition holds for LASTING_SECONDS. Velocities are measured over windows around a
 frame. The response counts from the end of the window, so that looking ahead cannot shorten it.
 """
 
@@ -26,11 +26,11 @@ from motionkit.tables import Cell, Table
 from motionkit.training.verdict.rolling import Driven, Progress, grouped, roll_live
 
 BEFORE_SECONDS, AFTER_SECONDS = 2.0, 4.0
-HELD_SECONDS = 0.25
+LASTING_SECONDS = 0.25
 DIRECTION_LIMIT = math.radians(15.0)
 SPEED_SHARE = 0.15
 TARGET_SECONDS = 0.5
-STEADY_AFTER = 2.0  # seconds after a change of speed from which the speed is the one that is kept
+STEADY_AFTER = 2.0  # seconds after a change of speed; from then on the speed counts as steady
 STEADY_SHARE = 0.05
 STEADY_SECONDS = 1 / 3  # over which a speed is averaged, because it varies within a step
 
@@ -59,7 +59,7 @@ class Command:
     speed: float | None = None
 
 
-def _stands(body: Body) -> Array:
+def _is_standing(body: Body) -> Array:
     return body.speed < 0.25
 
 
@@ -86,14 +86,14 @@ def commands(model: MotionModel) -> list[Command]:
         speed = share * each.gait.speed
         return Wish((speed * math.sin(angle), speed * math.cos(angle)), angle - each.gait.facing, kind)
 
-    stand, walk, run, back = gaits.stand, gaits.walk, gaits.run, gaits.back
+    idle, walk, run, back = gaits.stand, gaits.walk, gaits.run, gaits.back
     changes = [
-        (stand, walk, _walks),
-        (walk, stand, _stands),
+        (idle, walk, _walks),
+        (walk, idle, _is_standing),
         (walk, run, _runs),
         (run, walk, _walks),
-        (run, stand, _stands),
-        (stand, back, _goes_back),
+        (run, idle, _is_standing),
+        (idle, back, _goes_back),
     ]
     out = [
         Command(f"{a} → {b}", "type", ahead(a), ahead(b), shows)
@@ -108,10 +108,10 @@ def commands(model: MotionModel) -> list[Command]:
             out.append(Command(f"{kind}, 90° {name}", "direction", ahead(kind), ahead(kind, angle), answer))
         for first, then in ((0.8, 1.2), (1.2, 0.8)):
             before, after = ahead(kind, share=first), ahead(kind, share=then)
-            wanted = math.hypot(*(after.velocity or (0.0, 0.0))) / 100.0
+            goal = math.hypot(*(after.velocity or (0.0, 0.0))) / 100.0
             name = f"{kind}, {first:.0%} → {then:.0%} of its speed"
             ahead_by = (SPEED_SPAN + STEADY_SECONDS) / 2
-            out.append(Command(name, "speed", before, after, _goes_at(wanted), ahead_by, wanted))
+            out.append(Command(name, "speed", before, after, _goes_at(goal), ahead_by, goal))
     return out
 
 
@@ -137,9 +137,9 @@ def _goes_at(speed: float) -> Answer:
 
 
 def response_seconds(answered: Array, fps: float) -> float | None:
-    """Return the seconds until flags (T,) hold for HELD_SECONDS; None if they never do."""
-    held = round(HELD_SECONDS * fps)
-    return next((start / fps for start, end in spans(answered) if end - start >= held), None)
+    """Return the seconds until flags (T,) hold for LASTING_SECONDS; None if they never do."""
+    lasting = round(LASTING_SECONDS * fps)
+    return next((start / fps for start, end in spans(answered) if end - start >= lasting), None)
 
 
 def _commanded(model: MotionModel, command: Command) -> Driven:
@@ -156,18 +156,18 @@ def _commanded(model: MotionModel, command: Command) -> Driven:
 def response_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: the response time of each command; no response counts as AFTER_SECONDS."""
     model, settings = trial.model, trial.settings
-    asked = commands(model)
-    if not asked:
+    changes = commands(model)
+    if not changes:
         note = "not measured: the model has no gaits to be commanded"
         return Section("response", "Response time", notes=[note])
     frames = round((BEFORE_SECONDS + AFTER_SECONDS) * model.fps)
-    characters = [_commanded(model, command) for command in asked for _ in range(settings.repeats)]
+    characters = [_commanded(model, command) for command in changes for _ in range(settings.repeats)]
     takes = roll_live(model, characters, frames, settings.noise, settings.first_seed, progress)
     rows: list[tuple[Cell, ...]] = []
     groups: dict[str, list[float]] = {}
     kept: list[float] = []
     compared: dict[str, bool] = {}
-    for command, mine in zip(asked, grouped(takes, settings.repeats), strict=True):
+    for command, mine in zip(changes, grouped(takes, settings.repeats), strict=True):
         seconds, unanswered, already = _responses(command, [take.default for take in mine])
         raw, _, _ = _responses(command, [take.raw for take in mine])
         groups.setdefault(command.group, []).extend(seconds)
@@ -188,7 +188,7 @@ def response_section(trial: Trial, progress: Progress) -> Section:
     ]
     if kept:
         what = f"speed that is kept from {STEADY_AFTER:g} s after a change of it: off by"
-        goals.append(at_most(what, _mean(kept), STEADY_SHARE, shown=".0%"))
+        goals.append(at_most(what, _mean(kept), STEADY_SHARE, number_format=".0%"))
     if compared:
         slower = [name for name, sooner in compared.items() if not sooner]
         goals.append(
@@ -201,7 +201,7 @@ def response_section(trial: Trial, progress: Progress) -> Section:
     )
     notes = [
         f"{settings.repeats} characters per command, driven as play drives them by default, from {BEFORE_SECONDS:g} s "
-        f"before it; response: the first frame from which the condition holds for {HELD_SECONDS:g} s; no response "
+        f"before it; response: the first frame from which the condition holds for {LASTING_SECONDS:g} s; no response "
         f"counts as {AFTER_SECONDS:g} s; characters that met the condition before the command are left out",
         "conditions: standing below 0.25 m/s, a walk 0.4 to 2 m/s forwards, a run above 1.8 m/s forwards, going back "
         "0.3 m/s backwards; direction: root within 15° of the commanded one; speed: within 15 % of the commanded one, "
@@ -231,9 +231,9 @@ def _responses(command: Command, bodies: list[Body]) -> tuple[list[float], int, 
     seconds: list[float] = []
     unanswered = already = 0
     for body in bodies:
-        change, held = round(BEFORE_SECONDS * body.fps), round(HELD_SECONDS * body.fps)
+        change, lasting = round(BEFORE_SECONDS * body.fps), round(LASTING_SECONDS * body.fps)
         flags = command.answers(body)
-        if bool(flags[change - held : change].all()):
+        if bool(flags[change - lasting : change].all()):
             already += 1
             continue
         answer = response_seconds(flags[change:], body.fps)

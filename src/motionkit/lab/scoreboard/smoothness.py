@@ -20,8 +20,8 @@ from motionkit.metrics.touch import lowest_points
 from motionkit.tables import Cell, Table
 from motionkit.training.verdict.rolling import Plan, Progress, Take, grouped
 
-AT_LIMIT = 0.98  # share of the limit of acceleration from which on it counts as holding the root
-LASTING_SECONDS = 3.0  # for types that have no length of their own
+AT_LIMIT = 0.98  # share of the limit of acceleration above which the limit counts as reached
+LASTING_SECONDS = 3.0  # seconds of types without a natural length
 
 
 def sequences(roles: Roles) -> list[tuple[str, ...]]:
@@ -30,15 +30,15 @@ def sequences(roles: Roles) -> list[tuple[str, ...]]:
     Types that the model lacks are left out, and types it has many of are spread over the sequences.
     """
     gaits = roles.gaits
-    run, walk, stand = gaits.run or gaits.walk, gaits.walk or gaits.run, gaits.stand
-    once, strike = _taken(roles.performances), _taken(roles.strikes)
-    lasting = _taken(roles.lasting)
+    run, walk, idle = gaits.run or gaits.walk, gaits.walk or gaits.run, gaits.stand
+    once, strike = _cycled(roles.performances), _cycled(roles.strikes)
+    lasting = _cycled(roles.lasting)
     plans = (
         (run, next(once), next(once), next(strike)),
         (run, next(once), next(once), run),
         (walk, next(once), next(once), walk),
         (next(strike), next(once), next(lasting), next(lasting)),
-        (run, next(lasting), walk, stand),
+        (run, next(lasting), walk, idle),
     )
     found = []
     for plan in plans:
@@ -49,7 +49,7 @@ def sequences(roles: Roles) -> list[tuple[str, ...]]:
     return found
 
 
-def _taken(kinds: tuple[str, ...]) -> Iterator[str | None]:
+def _cycled(kinds: tuple[str, ...]) -> Iterator[str | None]:
     """Types in turn, again and again; None for ever without any."""
     return cycle(kinds or (None,))
 
@@ -85,9 +85,9 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
         "frames of the sequence's types are below it; finishing holds the root below the same limit of the model's own "
         f"recordings, and frames at the limit is the share that it holds (within {1 - AT_LIMIT:.0%})",
     ]
-    if begun := starts_and_stops(trial, lambda share: progress(0.7 + 0.3 * share)):
-        tables.append(begun[0])
-        goals += begun[1]
+    if section := starts_and_stops(trial, lambda share: progress(0.7 + 0.3 * share)):
+        tables.append(section[0])
+        goals += section[1]
         notes.append(
             f"low toes that slide: of toes less than {LOW:g} cm above a standing one, the share that moves faster than "
             f"{FAST:g} cm/s; {settings.repeats} characters stand, go and stand for {PART_SECONDS:g} s each; recorded: "
@@ -106,11 +106,11 @@ def _measured(
         max(float(accelerations(b).max()) for b in bodies),
         acceleration_limit(trial.real, sequence),
     )
-    held = limit_of_model(trial.model, sequence)
+    model_limit = limit_of_model(trial.model, sequence)
     at_limit = (
         None
-        if held is None
-        else float(np.mean([(accelerations(b) > AT_LIMIT * held).mean() for b in bodies]))
+        if model_limit is None
+        else float(np.mean([(accelerations(b) > AT_LIMIT * model_limit).mean() for b in bodies]))
     )
     lowest, raw_lowest = (
         min(value_of(lowest_points(b.positions)[-1]) for b in each) for each in (bodies, raw)

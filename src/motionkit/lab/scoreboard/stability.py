@@ -22,7 +22,7 @@ from motionkit.training.verdict.rolling import Plan, Progress, Take
 FREEZE_SECONDS = 5.0
 # Frozen: over FREEZE_SECONDS the joints are slower than this share of the lower speed limit of the type's profile.
 FROZEN_SHARE = 0.5
-EDGE_SHARE = 1 / 3  # of the roll-out: foot height is compared between its first and last part
+EDGE_SHARE = 1 / 3  # share of the roll-out at both ends between which foot height is compared
 DRIFT_LIMIT = 5.0  # cm
 FLOAT_LIMIT = 3.0  # cm between the foot height of the roll-out and of the recordings
 DISTANCE_LIMIT, JERK_LIMIT = 1.5, 1.5  # relative to the recordings
@@ -112,7 +112,7 @@ def _row(
     return {
         "type": name,
         "finite": True,
-        "frozen, s": sum(frozen_seconds(shown.default, slowest) for shown in take.shown()),
+        "frozen, s": sum(frozen_seconds(part.default, slowest) for part in take.performed()),
         "foot height drift, cm": height_drift(body),
         "foot height − real, cm": _floating(body, real, parts),
         "lowest root, cm": float(heights.min()),

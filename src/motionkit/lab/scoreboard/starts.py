@@ -1,4 +1,4 @@
-"""Starts and stops: do feet slide where a body that stands begins to go, or comes to a stand?"""
+"""Starts and stops: do feet slide where a standing body begins to go, or where a body stops?"""
 
 from __future__ import annotations
 
@@ -28,30 +28,25 @@ def sliding_toes(body: Body) -> tuple[int, int]:
 
 
 def starts_and_stops(trial: Trial, progress: Progress) -> tuple[Table, list[Goal]] | None:
-    """Measure bodies that stand, go and stand again, by every gait; None for a model that cannot stand or go.
-
-    Args:
-        trial: the measured model, whose own recordings are compared with.
-        progress: called with the share that is done.
-    """
+    """Measure bodies that stand, go and stand again, by every gait; None for a model that cannot stand or go."""
     gaits = find_roles(trial).gaits
     known = trial.recorded_types
     going = [kind for kind in dict.fromkeys((gaits.walk, gaits.run, gaits.back)) if kind in known]
     if gaits.stand not in known or not going:
         return None
-    stand, repeats = str(gaits.stand), trial.settings.repeats
+    idle, repeats = str(gaits.stand), trial.settings.repeats
     plans = [
-        Plan(tuple(TypePart(kind, PART_SECONDS) for kind in (stand, str(gait), stand)), seed)
+        Plan(tuple(TypePart(kind, PART_SECONDS) for kind in (idle, str(gait), idle)), seed)
         for gait in going
         for seed in trial.seeds(repeats)
     ]
     takes = trial.roll(plans, progress)
     rows, goals = [], []
     for gait, mine in zip(going, grouped(takes, repeats), strict=True):
-        recorded = [_share([s.body for s in trial.real.of_type(kind)]) for kind in (stand, str(gait), stand)]
+        recorded = [_share([s.body for s in trial.real.of_type(kind)]) for kind in (idle, str(gait), idle)]
         real = sum(recorded) / len(recorded)
         default, raw = _share([take.default for take in mine]), _share([take.raw for take in mine])
-        name = f"{stand} → {gait} → {stand}"
+        name = f"{idle} → {gait} → {idle}"
         rows.append((name, default, raw, real))
         if real:
             goals.append(at_most(f"{name}: low toes that slide / real", default / real, 1.0))

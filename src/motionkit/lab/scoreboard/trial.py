@@ -19,12 +19,7 @@ from motionkit.training.verdict.rolling import Plan, Progress, Take, grouped, ro
 
 @dataclass(eq=False)
 class Trial:
-    """A model, the recordings to compare it with, and the settings.
-
-    Attributes:
-        model: as the settings' reference leaves it.
-        each: a map over roll-outs, such as that of worker processes.
-    """
+    """A model as the settings have it, the recordings to compare it with, and a map over roll-outs."""
 
     model: MotionModel
     dataset: Dataset

@@ -8,7 +8,7 @@ from motionkit.training.verdict.rolling import Progress
 from motionkit.training.verdict.types import (
     VerdictSettings,
     quick_verdicts,
-    training_told,
+    training_summary,
     verdict_notes,
     verdict_table,
 )
@@ -16,13 +16,13 @@ from motionkit.training.verdict.types import (
 
 def types_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: a verdict for each type."""
-    asked = trial.settings
+    of_trial = trial.settings
     settings = VerdictSettings(
-        asked.seeds, asked.accuracy_seconds, asked.repeats, asked.first_seed, asked.noise
+        of_trial.seeds, of_trial.accuracy_seconds, of_trial.repeats, of_trial.first_seed, of_trial.noise
     )
     verdicts = quick_verdicts(trial.model, trial.judge, settings, progress, trial.each)
     goals = [
         Goal(f"{v.type} works", float(v.works), "yes", 1.0, None, "; ".join(v.reasons)) for v in verdicts
     ]
-    notes = [training_told(trial.model), *verdict_notes()]
+    notes = [training_summary(trial.model), *verdict_notes()]
     return Section("types", "Does each type work?", [verdict_table(verdicts)], goals, notes)

@@ -29,9 +29,9 @@ from motionkit.training.verdict.rolling import Plan, Progress, Take
 
 DRAWN = 0.8  # target share of a type's recordings, by length
 APART = 0.5  # target distance of two seeds relative to that of two recordings
-REPLAYED = 0.1  # largest share of a long roll-out that shows again what it has shown
+REPLAYED = 0.1  # largest share of a long roll-out that repeats an earlier part
 LONG_SECONDS = 60.0  # of recordings, from which on a type must not repeat itself within as long
-MOST_RECORDINGS = 16  # of a type, the longest, that are held against the others
+MOST_RECORDINGS = 16  # longest recordings of a type that are compared with the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +98,9 @@ def _measured(
     if recorded is None:
         return None
     learnt = recorded_poses([stretch.body for stretch in stretches if stretch.split == "train"])
-    shown = [[poses_of(part.default) for part in take.shown()] for take in takes]
-    first = [parts[0] for parts in shown]
-    mine = [poses for parts in shown for poses in parts if len(poses) >= WINDOW]
+    parts_of_takes = [[poses_of(part.default) for part in take.performed()] for take in takes]
+    first = [parts[0] for parts in parts_of_takes]
+    mine = [poses for parts in parts_of_takes for poses in parts if len(poses) >= WINDOW]
     if not mine:
         return None
     places = [recorded.windows.places(poses) for poses in mine]

@@ -25,7 +25,7 @@ from motionkit.training.verdict.rolling import Progress, Take
 LEAP_LIMIT = 0.1  # leaps a minute, in any type but gaits
 FLIP = 60.0  # degrees that the hips turn from one frame to the next in a body that flips
 PLANTED = (0.8, 1.2)  # planted share relative to the recordings
-HOVER_MORE = 0.02  # share of the frames that may hover more than in the recordings
+HOVER_MORE = 0.02  # largest share of hovering frames above that of the recordings
 DEPTH = 3.0  # cm below the ground that a joint may be, or as deep as recorded
 HANDS_NEAR = 3.0  # cm; difference to recorded hands where hands bear the body
 TRUNK = tuple(JOINT_NAMES.index(name) for name in ("LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head"))
@@ -49,8 +49,10 @@ def visible_section(trial: Trial, progress: Progress) -> Section:
     gaits = {kind for kind in default if trial.model.kind(kind).steered}
     handstands = [kind for kind in default if bears_on_hands(trial.real, kind)]
     tables, goals = [], []
-    own = {kind: [shown for take in found for shown in take.shown()] for kind, found in takes.items()}
-    for part in (_leaps(default, raw, real, gaits), _touch(own, real), _lowest(default, raw, real, handstands),
+    by_type = {
+        kind: [ranged for take in found for ranged in take.performed()] for kind, found in takes.items()
+    }
+    for part in (_leaps(default, raw, real, gaits), _touch(by_type, real), _lowest(default, raw, real, handstands),
                  _flights(default, raw, real), _gaits(default, real, gaits)):  # fmt: skip
         tables.append(part[0])
         goals += part[1]
@@ -81,7 +83,7 @@ def _leaps(default: Bodies, raw: Bodies, real: Bodies, gaits: set[str]) -> Part:
         flipped = sum(flips(body) for body in bodies)
         all_flipped += flipped
         rates[kind] = _mean(leaps, bodies)
-        own = _mean(leaps, real[kind]) if real[kind] else None
+        recorded_rate = _mean(leaps, real[kind]) if real[kind] else None
         leaping = sum(value_of(leaps(body.positions)) > 0.0 for body in bodies)
         rows.append(
             (
@@ -89,7 +91,7 @@ def _leaps(default: Bodies, raw: Bodies, real: Bodies, gaits: set[str]) -> Part:
                 rates[kind],
                 leaping,
                 _mean(leaps, raw[kind]),
-                own,
+                recorded_rate,
                 flipped,
                 fastest,
                 joint,
@@ -126,12 +128,12 @@ def flips(body: Body) -> bool:
     return bool((geodesic_movement(body.rotations[:, :1]) > FLIP).any())
 
 
-def _touch(own: dict[str, list[Take]], real: Bodies) -> Part:
+def _touch(by_type: dict[str, list[Take]], real: Bodies) -> Part:
     rows: list[tuple[Cell, ...]] = []
     unplanted, hovering = [], []
-    kinds = [kind for kind in own if real[kind]]
+    kinds = [kind for kind in by_type if real[kind]]
     for kind in kinds:
-        bodies = [take.default for take in own[kind]], [take.raw for take in own[kind]]
+        bodies = [take.default for take in by_type[kind]], [take.raw for take in by_type[kind]]
         planted = _mean(planted_share, real[kind])
         hover = _mean(hover_share, real[kind])
         mine, mine_raw = (_mean(planted_share, each) for each in bodies)

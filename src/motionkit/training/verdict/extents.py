@@ -26,7 +26,7 @@ class Measure:
         does, at, unit: how it is told: "feet rise", "to", "cm".
         of: measures a body.
         least, share: what is widened in either direction at least, and as a share of the value.
-        digits: decimal places that are told.
+        digits: decimal places that are printed.
     """
 
     does: str
@@ -98,7 +98,7 @@ class Extent:
             return float("inf")
         return max(lowest - value, value - highest, 0.0) / (highest - lowest)
 
-    def told(self, value: float) -> str:
+    def described(self, value: float) -> str:
         """Return a value beside the recordings: "feet rise to 83 cm; in the clips to 116 to 134 cm"."""
         made, low, high = (f"{each:.{self.measure.digits}f}" for each in (value, self.lowest, self.highest))
         known = low if low == high else f"{low} to {high}"
@@ -121,5 +121,5 @@ def what_is_off(extents: Sequence[Extent], windows: Sequence[Body]) -> str:
     for extent in extents:
         values = [value for value in map(extent.measure.of, windows) if extent.excess(value)]
         if values:
-            found.append((len(values), extent.told(float(np.median(values)))))
+            found.append((len(values), extent.described(float(np.median(values)))))
     return max(found, key=lambda each: each[0])[1] if found else ""

@@ -34,13 +34,13 @@ def fitting_detectors(real: RealMotion) -> dict[str, str]:
 
 def _accepted_shares(real: RealMotion) -> dict[str, dict[str, float]]:
     """The share of the recorded windows of each type that each detector accepts."""
-    shown: dict[str, dict[str, list[bool]]] = {name: defaultdict(list) for name in DETECTORS}
+    accepted: dict[str, dict[str, list[bool]]] = {name: defaultdict(list) for name in DETECTORS}
     for stretch in real.stretches:
         for name, detector in DETECTORS.items():
             if stretch.body.seconds >= LEAST_WINDOW * detector.window:
                 windows = detection_windows(stretch.body, detector.window)
-                shown[name][stretch.type] += [detector.shows(window) for window in windows]
-    return {name: {kind: sum(f) / len(f) for kind, f in kinds.items()} for name, kinds in shown.items()}
+                accepted[name][stretch.type] += [detector.shows(window) for window in windows]
+    return {name: {kind: sum(f) / len(f) for kind, f in kinds.items()} for name, kinds in accepted.items()}
 
 
 def _has_profile(real: RealMotion, kind: str) -> bool:
@@ -49,21 +49,19 @@ def _has_profile(real: RealMotion, kind: str) -> bool:
 
 
 class Judge:
-    """Decides whether motion shows a type.
+    """Decides whether motion shows a type, by the recordings.
 
-    Attributes:
-        real: the recordings.
-        own_clips: judge every type by the motion profile of its own recordings, without detectors. Then it must also
-            reach as far, go as fast, fly and step as they do.
+    With by_recordings every type is judged by the motion profile of its own recordings, without detectors. Then it must
+    also reach as far, go as fast, fly and step as they do.
     """
 
-    def __init__(self, real: RealMotion, own_clips: bool = False) -> None:
-        self.real, self.own_clips = real, own_clips
+    def __init__(self, real: RealMotion, by_recordings: bool = False) -> None:
+        self.real, self.by_recordings = real, by_recordings
 
     @cached_property
     def detectors(self) -> dict[str, str]:
         """The detector of each type that has one, by its recordings."""
-        return {} if self.own_clips else fitting_detectors(self.real)
+        return {} if self.by_recordings else fitting_detectors(self.real)
 
     def detector(self, kind: str) -> Detector | None:
         """Return the detector that judges a type; None for a type judged by its motion profile."""
@@ -93,7 +91,7 @@ class Judge:
             return detector.shows(body)
         profile = self.real.profile(kind)
         assert profile is not None
-        if self.own_clips and not profile.reaches(body):
+        if self.by_recordings and not profile.reaches(body):
             return False
         return profile.shows(body, self.real.pose_distances(body, without).mean(axis=0))
 
@@ -105,7 +103,7 @@ class Judge:
     def performs(self, kind: str, body: Body) -> bool:
         """Whether the motion after a command performs the commanded type.
 
-        A type that is performed once must be detected at least once, in own_clips each type that has a phase. Any
+        A type that is performed once must be detected at least once, with by_recordings each type that has a phase. Any
         other type must be detected in a share HOLD of the windows, counted from GRACE seconds after the command. A
         type judged by its motion profile must also move as fast in the mean as calm or busy recordings do, within
         LIVELY.
@@ -142,7 +140,7 @@ class Judge:
         Around performances a roll-out stands and runs up, which their clips need not show.
         """
         profile = self._profile(kind)
-        if not self.own_clips or profile is None or not profile.performance:
+        if not self.by_recordings or profile is None or not profile.performance:
             return []
         return detection_windows(body, profile.performance)
 

@@ -44,7 +44,6 @@ class MotionProfile:
     """Limits measured on the recordings of a type; they judge types without a detector.
 
     Attributes:
-        kind: index of the type.
         joint_speed: mean joint speed over all recordings in rad/s.
         usual: joint speeds of calm and of busy recorded windows; the mean is not outside.
         speeds: limits of joint speed in rad/s.
@@ -124,8 +123,8 @@ class _PoseBank:
 
     def distances(self, poses: Array, without: int, types: int) -> Array:
         """Return distances (T, types) in cm per joint of poses (T, D) to the nearest of each type, but of one clip."""
-        wanted = poses.astype(np.float32) - self.centre
-        squares = np.square(wanted).sum(axis=1)[:, None] + self.squares - 2.0 * (wanted @ self.poses.T)
+        query = poses.astype(np.float32) - self.centre
+        squares = np.square(query).sum(axis=1)[:, None] + self.squares - 2.0 * (query @ self.poses.T)
         distances = np.sqrt(np.maximum(squares, 0.0)) / np.float32(JOINT_COUNT**0.5)
         distances[:, self.clips == without] = np.inf
         out = np.full((len(distances), types), np.inf, np.float32)
@@ -190,10 +189,7 @@ class RealMotion:
     def pose_distances(self, body: Body, without: int = -1) -> Array:
         """Return distances (T', N) in cm per joint to the nearest training pose of each type, every POSE_EVERY frames.
 
-        The distance to a type without poses is infinite.
-
-        Args:
-            without: number of a clip whose poses are left out.
+        The poses of clip number `without` are left out. The distance to a type without poses is infinite.
         """
         return self._bank.distances(body.poses(POSE_EVERY), without, len(self.types))
 

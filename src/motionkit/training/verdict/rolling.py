@@ -45,17 +45,16 @@ class Plan:
 class Take:
     """One roll-out: as users get it by default, with feet locked, and as the network's raw output.
 
-    Attributes:
-        own: ranges of frames (start, end) that show the asked types, not the stands and run-ups that synthesis adds.
+    ranges are frames (start, end) that show the requested types, not the standing and run-ups that synthesis adds.
     """
 
     default: Body
     raw: Body
-    own: tuple[tuple[int, int], ...] = ()
+    ranges: tuple[tuple[int, int], ...] = ()
 
-    def shown(self) -> list[Take]:
-        """Return the ranges that show the asked types; all of it if they are not known."""
-        return [self.cut(start, end) for start, end in self.own] or [self]
+    def performed(self) -> list[Take]:
+        """Return the ranges that show the requested types; all of it if they are not known."""
+        return [self.cut(start, end) for start, end in self.ranges] or [self]
 
     def cut(self, start: int, end: int) -> Take:
         """Return frames start to end (exclusive)."""
@@ -90,11 +89,7 @@ def roll_plans(
     each: Map = map,
     progress: Progress | None = None,
 ) -> list[Take]:
-    """Roll out each plan with one character, as `synthesize` does with the plan's seed.
-
-    Args:
-        each: a map over batches, such as that of worker processes; results do not depend on it.
-    """
+    """Roll out each plan with one character, as `synthesize` does with its seed; `each` is a map over batches."""
     batches = _batches(plans)
     tasks = [(model, batch, noise or Noise()) for batch in batches]
     out: list[Take] = []
@@ -125,10 +120,10 @@ def _roll_batch(task: tuple[MotionModel, list[Plan], Noise]) -> list[Take]:
 
 def _take(made: Synthesis, plan: Plan) -> Take:
     assert made.raw is not None, "the options ask for it"
-    asked = [each.type in {part.type for part in plan.parts} for each in made.types]
+    requested = [each.type in {part.type for part in plan.parts} for each in made.types]
     lengths = [max(1, round(each.seconds * made.motion.fps)) for each in made.types]
-    own = spans(np.repeat(asked, lengths)[: len(made.motion)])
-    return Take(body_of(made.motion), body_of(made.raw), tuple(own))
+    ranges = spans(np.repeat(requested, lengths)[: len(made.motion)])
+    return Take(body_of(made.motion), body_of(made.raw), tuple(ranges))
 
 
 def roll_paths(
@@ -199,11 +194,11 @@ def _live_bodies(
     rotations, roots = [], []
     for frame in range(frames):
         ground = stream.ground
-        asked = []
+        controls = []
         for index, (character, driver) in enumerate(zip(characters, drivers, strict=True)):
             character.steer(frame, driver)
-            asked.append(driver(frame, ground[index : index + 1]))
-        made = stream.step(together(asked))
+            controls.append(driver(frame, ground[index : index + 1]))
+        made = stream.step(together(controls))
         rotations.append(made.rotations.copy())
         roots.append(made.root_positions.copy())
         progress((frame + 1) / frames)

@@ -18,7 +18,7 @@ from motionkit.data.workers import Map
 from motionkit.inference.noise import Noise
 from motionkit.metrics.body import Body
 from motionkit.metrics.detectors import detection_windows
-from motionkit.metrics.foot_sliding import average_foot_sliding
+from motionkit.metrics.ground import average_foot_sliding
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
@@ -36,11 +36,9 @@ class VerdictSettings:
     """How much is rolled out for a verdict.
 
     Attributes:
-        seeds: roll-outs of each type, of consecutive seeds.
         accuracy_seconds: length of each, counted from the command.
         repeats: characters that follow each path.
         first_seed: by default the first of those that settings are not chosen by.
-        noise: how frames are sampled.
     """
 
     seeds: int = 8
@@ -53,9 +51,9 @@ class VerdictSettings:
 QUICK_TYPES = VerdictSettings()
 # Targets: share of roll-outs that show the type (benchmarks/verdicts.py), distance from the path (cm) of walks and of
 # runs, and sliding of held feet relative to the recordings, unless one of them slides more.
-SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.85, 1.0, 2.0, 1.3
+DETECTED_SHARE, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.85, 1.0, 2.0, 1.3
 WALK_RADIUS, RUN_RADIUS = 2.0, 4.0  # metres of the figure-eight
-FEW_STEPS = 300  # of a run from a model; docs/training.md shows what so many bring
+FEW_STEPS = 300  # fewest steps of a run from a model; docs/training.md shows what so many bring
 FEW_SECONDS = 10.0  # recordings of a type shorter than this in all are too few to learn from
 
 
@@ -64,14 +62,11 @@ class TypeVerdict:
     """How one type of a model does.
 
     Attributes:
-        type: its name.
         clips, seconds: its training clips and their length.
         shown, rollouts: roll-outs that show the type, of all.
         joint_speed: mean joint speed relative to the recordings.
         path: mean distance in cm from a figure-eight; None for types that no velocity steers.
-        path_target: the largest good distance in cm.
         sliding: foot sliding of the roll-outs with held feet relative to that of the recordings.
-        sliding_target: the largest good one.
         reasons: what is wrong, in plain words; empty for a type that works.
     """
 
@@ -106,15 +101,11 @@ def quick_verdicts(
     progress: Callable[[float], None] | None = None,
     each: Map = map,
 ) -> list[TypeVerdict]:
-    """Judge every type of a model that the recordings of judge show, in the order of the model.
-
-    Args:
-        each: a map over roll-outs, such as that of worker processes; results do not depend on it.
-    """
+    """Judge every type of a model that the recordings of judge show, in its order; `each` is a map over roll-outs."""
     kinds = [
         kind for kind in model.types if kind in judge.real.types and judge.real.profile(kind) is not None
     ]
-    judge = Judge(judge.real, own_clips=True)
+    judge = Judge(judge.real, by_recordings=True)
     seeds = range(settings.first_seed, settings.first_seed + settings.seeds)
     plans = commanded_plans(model, kinds, seeds, settings.accuracy_seconds)
     report = progress or (lambda share: None)
@@ -174,14 +165,16 @@ def verdict_notes() -> list[str]:
     ]
 
 
-def training_told(model: MotionModel) -> str:
+def training_summary(model: MotionModel) -> str:
     """How long a model was trained, and what more time has brought elsewhere, in one line."""
     steps, seconds = model.card.get("steps"), model.card.get("seconds")
     if not steps or seconds is None:
         return "how long it was trained is not known"
-    told = f"trained for {counted(steps, 'step')} in {seconds / 60.0:.1f} minutes"
-    begun = (model.card.get("options") or {}).get("init")
-    return f"{told}; docs/training.md shows what {FEW_STEPS} bring" if begun and steps < FEW_STEPS else told
+    text = f"trained for {counted(steps, 'step')} in {seconds / 60.0:.1f} minutes"
+    fine_tuned = (model.card.get("options") or {}).get("init")
+    return (
+        f"{text}; docs/training.md shows what {FEW_STEPS} bring" if fine_tuned and steps < FEW_STEPS else text
+    )
 
 
 def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings, training: str = "") -> str:
@@ -267,7 +260,7 @@ def reasons_of(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> tuple[
     """What is wrong with a type, and what may be the cause."""
     out = []
     moves = _moves(verdict)
-    if verdict.shown < SHOWN * verdict.rollouts:
+    if verdict.shown < DETECTED_SHARE * verdict.rollouts:
         words = f"shown in {verdict.shown} of {verdict.rollouts} roll-outs"
         cause = moves or _cause(verdict, judge, bodies)
         out.append(f"{words} ({cause})" if cause else words)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motionkit.control.opening import Shown
+from motionkit.control.character_start import StartState
+from motionkit.control.lead_ins import IDLE_BEFORE, LEAST_REST, RUN_UP, natural_seconds, with_lead_ins
 from motionkit.control.script import TypePart
-from motionkit.control.staging import LEAST_REST, RUN_UP, STAND_BEFORE, natural_seconds, staged
 from motionkit.control.synthesize import synthesize
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
@@ -39,7 +39,7 @@ def test_what_leads_to_performances(
         TypePart(kind, seconds or 2.0)
         for kind, seconds in zip(asked, natural_seconds(model, asked), strict=True)
     ]
-    found = staged(model, parts)
+    found = with_lead_ins(model, parts)
     assert tuple(part.type for part in found) == kinds
     assert sum(part.seconds for part in found) == pytest.approx(sum(part.seconds for part in parts), abs=0.02)
     for part in found:
@@ -51,7 +51,7 @@ def test_what_leads_to_performances(
 
 @pytest.mark.parametrize("seconds", np.arange(0.5, 12.0, 0.7).tolist())
 def test_only_whole_performances_are_begun(model: MotionModel, seconds: float) -> None:
-    found = staged(model, [TypePart("handspring", seconds)])
+    found = with_lead_ins(model, [TypePart("handspring", seconds)])
     assert sum(part.seconds for part in found) == pytest.approx(seconds, abs=0.02)
     length = model.phase_seconds("handspring")
     if seconds < RUN_UP + length:
@@ -65,23 +65,23 @@ def test_only_whole_performances_are_begun(model: MotionModel, seconds: float) -
 
 def test_a_clip_leads_to_a_performance_itself(model: MotionModel) -> None:
     part = [TypePart("handspring", 3.0)]
-    runs = staged(model, part, Shown(np.zeros((4, 24), np.float32), 0, 350.0))
-    begun = staged(model, part, Shown(np.zeros((4, 24), np.float32), 20, 0.0))
+    runs = with_lead_ins(model, part, StartState(np.zeros((4, 24), np.float32), 0, 350.0))
+    begun = with_lead_ins(model, part, StartState(np.zeros((4, 24), np.float32), 20, 0.0))
     assert [part.type for part in runs] == [part.type for part in begun] == ["handspring", "idle"]
-    stands = staged(model, part, Shown(np.zeros((4, 24), np.float32), 0, 0.0))
+    stands = with_lead_ins(model, part, StartState(np.zeros((4, 24), np.float32), 0, 0.0))
     assert stands[0] == TypePart("running", RUN_UP)
 
 
 def test_models_that_cannot_stand_show_the_parts_as_they_are(model: MotionModel) -> None:
     parts = [TypePart("backflip", 4.0)]
     restless = replace(model, types={name: kind for name, kind in model.types.items() if name != "idle"})
-    assert staged(restless, parts) == staged(model.with_reference("none"), parts) == parts
+    assert with_lead_ins(restless, parts) == with_lead_ins(model.with_reference("none"), parts) == parts
 
 
 @pytest.mark.parametrize("kind", ["backflip", "handspring", "jumping-b"])
 def test_motions_begin_and_end_upright(model: MotionModel, kind: str) -> None:
     (seconds,) = natural_seconds(model, [kind])
-    assert seconds > STAND_BEFORE + model.phase_seconds(kind) + LEAST_REST
+    assert seconds > IDLE_BEFORE + model.phase_seconds(kind) + LEAST_REST
     positions = motion_kinematics(synthesize(model, [TypePart(kind, seconds)]).motion)[1]
     for half in (positions[:30], positions[-30:]):
         trunk = half[:, 12] - half[:, 0]

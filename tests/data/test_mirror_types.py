@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from motionkit.data.dataset import Dataset
+from motionkit.data.mirror_types import EVERY, mirrored_types, type_poses
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
-from motionkit.data.twins import EVERY, mirrored_types, type_poses
 from motionkit.errors import DatasetError
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout

@@ -7,7 +7,7 @@ import pytest
 
 from motionkit.control.momentum import at_speed
 from motionkit.control.plan import plan_types
-from motionkit.control.planned_controls import FAR, GaitWays, way_of
+from motionkit.control.planned_controls import FAR, GaitPaths, integrated_path
 from motionkit.control.recording_choice import GAIT, LEADING, RecordingChoice
 from motionkit.control.script import TypePart
 from motionkit.control.synthesize import SynthesisOptions, synthesize
@@ -32,8 +32,8 @@ def straight(speed: float, frames: int = 60) -> Controls:
 
 
 def test_the_way_is_what_trajectories_add_up_to() -> None:
-    way = way_of(straight(120.0).trajectory[:, 0])
-    assert np.allclose(way[:, 1], 2.0 * np.arange(60), atol=1e-4) and not way[:, [0, 2]].any()
+    path = integrated_path(straight(120.0).trajectory[:, 0])
+    assert np.allclose(path[:, 1], 2.0 * np.arange(60), atol=1e-4) and not path[:, [0, 2]].any()
 
 
 @pytest.mark.parametrize(("behind", "made_up"), [(0.0, 0.0), (5.0, 5.0), (300.0, FAR)])
@@ -41,13 +41,13 @@ def test_a_body_that_falls_behind_is_led_back(tiny_model: MotionModel, behind: f
     """As far as FAR; it never runs after a way that it lost."""
     plan = plan_types(tiny_model, [TypePart("walking", 1.0)])
     planned = straight(120.0)
-    ways = GaitWays(tiny_model, [plan], planned)
+    paths = GaitPaths(tiny_model, [plan], planned)
     place = np.array([[30.0, 40.0, 0.5]])
-    first = ways.led(planned.at(0), 0, place)
+    first = paths.corrected(planned.at(0), 0, place)
     assert np.allclose(first.trajectory, planned.trajectory[0], atol=1e-4)
     gone = 20.0 - behind
     here = place + np.array([[gone * np.sin(0.5), gone * np.cos(0.5), 0.0]])
-    ahead = ways.led(planned.at(10), 10, here).trajectory[0, LAST] - planned.trajectory[10, 0, LAST]
+    ahead = paths.corrected(planned.at(10), 10, here).trajectory[0, LAST] - planned.trajectory[10, 0, LAST]
     assert ahead == pytest.approx([0.0, made_up], abs=1e-3)
 
 
@@ -63,8 +63,8 @@ def test_trajectories_get_the_speed_of_the_stay_within_limits() -> None:
 def test_a_stay_in_a_gait_keeps_its_speed(model: MotionModel, kind: str) -> None:
     """Seeds differ in speed; one seed does not."""
     made = synthesize(model, [TypePart(kind, 6.0)], SynthesisOptions(count=8, seed=50))
-    ways = [each.motion.root_positions[:, [0, 2]] for each in made.motions]
-    speeds = [np.linalg.norm(way[60:] - way[:-60], axis=1) for way in ways]
+    paths = [each.motion.root_positions[:, [0, 2]] for each in made.motions]
+    speeds = [np.linalg.norm(path[60:] - path[:-60], axis=1) for path in paths]
     assert np.mean([each.std() / each.mean() for each in speeds]) < 0.08
     assert np.std([each.mean() for each in speeds]) > 10.0
 

@@ -1,8 +1,8 @@
-"""Starts a run from the weights of a trained model."""
+"""The start of a run: a network with random weights, or with the weights of a model."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -10,17 +10,84 @@ from torch import Tensor
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
+from motionkit.data.repeat import repeat_short_types
 from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
+from motionkit.models.architectures import build
+from motionkit.models.bundled import open_model
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import ReferenceClip, facing_velocity
+from motionkit.models.motion_type import MotionType, ReferenceClip, facing_velocity
 from motionkit.models.predictor import Predictor
+from motionkit.models.presets import preset
+from motionkit.training.options import TrainOptions
+from motionkit.training.rehearsal import keep_types
 
 # If a run keeps types, its weights are interpolated by this share towards the initial ones (Wortsman et al. 2022,
 # "Robust fine-tuning of zero-shot models"); docs/results-log.md has its effect.
-WAY_BACK = 0.25
+INITIAL_SHARE = 0.25
 USUAL_SPEED = 50.0  # cm/s that weigh as much as a unit of the pose embedding when types are compared
 CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight")
+
+
+@dataclass(frozen=True, eq=False)
+class InitialNetwork:
+    """The network of a run before its first step.
+
+    Attributes:
+        kept: types of the initial model that have no recordings; the dataset holds roll-outs of them instead.
+        weights: the initial model's weights, if types are kept.
+        new_types: names of types that the initial model lacks.
+    """
+
+    network: Predictor
+    layout: ControlLayout
+    kept: dict[str, MotionType] = field(default_factory=dict)
+    repeated: tuple[str, ...] = ()
+    weights: dict[str, Tensor] | None = None
+    new_types: tuple[str, ...] = ()
+
+    def towards_initial(self, trained: dict[str, Tensor]) -> dict[str, Tensor]:
+        """The trained weights; if types are kept, interpolated by INITIAL_SHARE towards the initial ones.
+
+        Rows of control embeddings for new types stay unchanged, because the initial model had none.
+        """
+        if self.weights is None:
+            return trained
+        out = {name: torch.lerp(value, self.weights[name], INITIAL_SHARE) for name, value in trained.items()}
+        size = len(self.layout.types)
+        rows = [
+            self.layout.type.start + sample * size + self.layout.types.index(kind)
+            for sample in range(self.layout.type_samples)
+            for kind in self.new_types
+        ]
+        for name in set(CONTROL_WEIGHTS) & set(out):
+            out[name][:, rows] = trained[name][:, rows]
+        return out
+
+
+def begin(dataset: Dataset, options: TrainOptions) -> InitialNetwork:
+    """Make the network of a run. If the run starts from a model, this may add clips to the dataset, in memory.
+
+    Raises:
+        DatasetError: if the dataset's features have another layout than the network's.
+        ModelError: if the model does not fit the dataset or the preset.
+    """
+    config = preset(options.preset, **options.config)
+    dataset.check_layout(config.layout, f"preset {options.preset} needs")
+    if options.init is None:
+        layout = ControlLayout(dataset.types, config.controls)
+        return InitialNetwork(build(config, layout.size), layout)
+    model = open_model(options.init)
+    check_start(dataset, model)
+    repeated = repeat_short_types(dataset)
+    names = keep_types(dataset, model, options.seed) if options.sampler.kept_share else ()
+    layout = ControlLayout(dataset.types, config.controls)
+    network = build(config, layout.size)
+    warm_start(network, dataset, model)
+    weights = {name: value.clone() for name, value in network.state_dict().items()} if names else None
+    new_types = tuple(set(dataset.types) - set(model.types))
+    kept = {name: model.types[name] for name in names}
+    return InitialNetwork(network, layout, kept, repeated, weights, new_types)
 
 
 def check_start(dataset: Dataset, model: MotionModel) -> None:
@@ -92,25 +159,6 @@ def _copy_controls(
                 new[:, start + i] = old[:, start_before + before.types.index(likes[kind])]
 
 
-def part_way_back(
-    weights: dict[str, Tensor], begun: dict[str, Tensor], layout: ControlLayout, new_types: Sequence[str]
-) -> dict[str, Tensor]:
-    """The weights of a run, interpolated by WAY_BACK towards the initial ones (begun), so that less is forgotten.
-
-    Rows of control embeddings for new types stay unchanged, because the initial model had none.
-    """
-    out = {name: torch.lerp(value, begun[name], WAY_BACK) for name, value in weights.items()}
-    size = len(layout.types)
-    rows = [
-        layout.type.start + sample * size + layout.types.index(kind)
-        for sample in range(layout.type_samples)
-        for kind in new_types
-    ]
-    for name in set(CONTROL_WEIGHTS) & set(out):
-        out[name][:, rows] = weights[name][:, rows]
-    return out
-
-
 def similar_types(dataset: Dataset, model: MotionModel) -> dict[str, str]:
     """For each type of a dataset, the model's type to start from: that of the same name, or the most similar one.
 
@@ -148,9 +196,9 @@ def _type_rows(dataset: Dataset, kind: int) -> list[Array]:
     """Pose embeddings and scaled ground velocities (T, 26) of a type in each training clip that has it."""
     block, rows = dataset.layout.blocks["root_xz_velocity"], []
     for clip in dataset.select("train"):
-        shown = dataset.clip_types(clip) == kind
-        if bool(shown.any()):
-            features = dataset.read(clip).features[shown]
+        of_type = dataset.clip_types(clip) == kind
+        if bool(of_type.any()):
+            features = dataset.read(clip).features[of_type]
             velocity = features[:, block] / USUAL_SPEED
             rows.append(np.concatenate([dataset.pose_embedding.of(features), velocity], axis=1))
     return rows

@@ -29,11 +29,7 @@ ONE_SIDED = 10.0  # cm per joint; the poses of symmetric types differ less from 
 
 
 def type_poses(motion: Motion, spans: Sequence[tuple[int, int, str]]) -> dict[str, Array]:
-    """Poses (N, D) of each type in a motion: joint positions in the heading frame, in cm.
-
-    Args:
-        spans: first frame, end frame (exclusive) and type of each stretch.
-    """
+    """Poses (N, D) of each type in a motion with stretches (start, end, type): joints in the heading frame, in cm."""
     few = replace(
         motion,
         local_rotations=motion.local_rotations[::EVERY],
@@ -50,24 +46,21 @@ def type_poses(motion: Motion, spans: Sequence[tuple[int, int, str]]) -> dict[st
 def mirrored_types(types: Sequence[str], poses: Mapping[str, Array]) -> dict[str, str]:
     """For each type, the type of its mirror image: itself, or one of the other side, which the data may lack.
 
-    A side in the name decides, as in kick-l. Otherwise two types are mirror images if the mirrored poses of each are
-    nearer to the other type than to their own.
-
-    Args:
-        poses: (N, D) poses of each type, from type_poses.
+    A side in the name decides, as in kick-l. Otherwise two types are mirror images if the mirrored poses (N, D) of each
+    are nearer to the other type than to their own.
     """
     out = {kind: mirrored_type(kind) for kind in types}
-    told = [kind for kind in types if out[kind] == kind and len(poses.get(kind, ())) >= LEAST_POSES]
-    shown = {kind: _spread(poses[kind]) for kind in told}
-    images = {kind: _mirrored(some) for kind, some in shown.items()}
+    unnamed = [kind for kind in types if out[kind] == kind and len(poses.get(kind, ())) >= LEAST_POSES]
+    spread = {kind: _spread(poses[kind]) for kind in unnamed}
+    images = {kind: _mirrored(some) for kind, some in spread.items()}
     nearest: dict[str, str] = {}
     for kind, image in images.items():
-        own = _apart(image, shown[kind])
-        others = {other: _apart(image, some) for other, some in shown.items() if other != kind}
-        if own < ONE_SIDED or not others:
+        distance = _apart(image, spread[kind])
+        others = {other: _apart(image, some) for other, some in spread.items() if other != kind}
+        if distance < ONE_SIDED or not others:
             continue
         other = min(others, key=lambda name: others[name])
-        if others[other] < NEARER * min(own, _apart(shown[kind], shown[other])):
+        if others[other] < NEARER * min(distance, _apart(spread[kind], spread[other])):
             nearest[kind] = other
     return out | {kind: other for kind, other in nearest.items() if nearest.get(other) == kind}
 

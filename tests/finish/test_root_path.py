@@ -1,4 +1,4 @@
-"""The root's way: feet that stand hold it, and it accelerates no harder than recorded bodies do."""
+"""The root's path: standing feet hold it, and it accelerates no harder than recorded bodies do."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motionkit.arrays import Array, length
+from motionkit.arrays import length
 from motionkit.control.script import TypePart
 from motionkit.control.speeds import USUAL, acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, synthesize
-from motionkit.finish.root_way import held_way
+from motionkit.finish.root_path import corrected_path
 from motionkit.metrics.pace import ground_acceleration
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
-from synthetic_motions import make_walk
+from synthetic_motions import feet_down, make_walk, sliding
 
 
 def braking(seconds: float, frames: int = 180) -> Motion:
@@ -30,7 +30,7 @@ def braking(seconds: float, frames: int = 180) -> Motion:
 
 def eased(motion: Motion, most: float | None) -> Motion:
     """The motion with its acceleration limited, no foot holding it."""
-    return held_way(motion, np.zeros((len(motion), 4), np.float32), 0.0, most)
+    return corrected_path(motion, np.zeros((len(motion), 4), np.float32), 0.0, most)
 
 
 def hardest(motion: Motion) -> float:
@@ -86,25 +86,11 @@ def test_what_is_written_keeps_to_the_limits_and_the_raw_motion_does_not() -> No
         assert hardest(each.motion) < 1.05 * limit < hardest(each.raw)
 
 
-def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> Array:
-    """Contacts (T, 4) with both feet down in the given frames."""
-    contacts = np.zeros((frames, 4), np.float32)
-    for columns, spans in ((slice(0, 2), left), (slice(2, 4), right)):
-        for start, end in spans:
-            contacts[start:end, columns] = 1.0
-    return contacts
-
-
-def sliding(frames: int = 120, speed: float = 10.0, crouch: float = 0.4) -> Motion:
-    """A body whose feet slide with its root at `speed` cm/s, with knees bent by `crouch` radians."""
-    return make_walk(frames, speed=speed, turn=0.0, swing=0.08, cadence=0.3, crouch=crouch)
-
-
 def test_feet_in_contact_decide_the_way_of_the_root() -> None:
     """A body that glides while both feet are down stays where it is, and goes on when they leave the floor."""
     motion = sliding(90, 12.0)
     contacts = feet_down(90, [(30, 60)], [(30, 60)])
-    held, free = held_way(motion, contacts, 1.0, None), held_way(motion, contacts, 0.0, None)
+    held, free = corrected_path(motion, contacts, 1.0, None), corrected_path(motion, contacts, 0.0, None)
     way = [float(m.root_positions[59, 2] - m.root_positions[31, 2]) for m in (motion, free, held)]
     assert way[0] > 5.0 and abs(way[1] - way[0]) < 0.1
     assert abs(way[2]) < 0.5 * way[0]
@@ -116,11 +102,11 @@ def test_feet_in_contact_decide_the_way_of_the_root() -> None:
 def test_feet_hold_the_root_in_the_frames_that_say_so() -> None:
     motion = sliding(speed=20.0)
     contacts = np.ones((len(motion), 4), np.float32)
-    whole, none = (held_way(motion, contacts, hold, None).root_positions for hold in (1.0, 0.0))
-    assert np.array_equal(held_way(motion, contacts, np.ones(len(motion)), None).root_positions, whole)
+    whole, none = (corrected_path(motion, contacts, hold, None).root_positions for hold in (1.0, 0.0))
+    assert np.array_equal(corrected_path(motion, contacts, np.ones(len(motion)), None).root_positions, whole)
     half = np.zeros(len(motion), np.float32)
     half[60:] = 1.0
-    mixed = held_way(motion, contacts, half, None).root_positions[:, ::2]
+    mixed = corrected_path(motion, contacts, half, None).root_positions[:, ::2]
     assert np.abs(mixed[:60] - none[:60, ::2]).max() < 0.5
     went = [np.linalg.norm(path[-1] - path[60]) for path in (mixed, whole[:, ::2], none[:, ::2])]
     assert went[0] == pytest.approx(went[1], rel=0.1) and went[0] < 0.5 * went[2]

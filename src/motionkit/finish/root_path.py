@@ -19,7 +19,7 @@ from motionkit.motion.skeleton import FOOT_JOINTS
 
 
 @dataclass(frozen=True)
-class WaySettings:
+class RootPathSettings:
     """Settings of the root's path; chosen on validation.
 
     Attributes:
@@ -37,10 +37,10 @@ class WaySettings:
     close: float = 1e-3
 
 
-WAY = WaySettings()
+ROOT_PATH = RootPathSettings()
 
 
-def held_way(motion: Motion, contacts: Array, share: Array | float, most: float | None) -> Motion:
+def corrected_path(motion: Motion, contacts: Array, share: Array | float, most: float | None) -> Motion:
     """Reduce foot sliding, then limit the root's acceleration over the ground.
 
     Args:
@@ -49,9 +49,9 @@ def held_way(motion: Motion, contacts: Array, share: Array | float, most: float 
         share: (T,), or one for all frames, of foot sliding to remove. 0 keeps the path; with 1 the feet decide it.
         most: limit in m/s^2 between velocities over 0.2 s; None for no limit.
     """
-    way = motion.root_positions[:, ::2].astype(np.float64)
+    path = motion.root_positions[:, ::2].astype(np.float64)
     shift = _hold(motion, contacts, share)
-    shift = shift + _eased(way + shift, most, motion.fps)
+    shift = shift + _eased(path + shift, most, motion.fps)
     if not shift.any():
         return motion
     roots = motion.root_positions.copy()
@@ -68,38 +68,38 @@ def _hold(motion: Motion, contacts: Array, share: Array | float) -> Array:
     feet = motion_kinematics(motion)[1][:, list(FOOT_JOINTS)]
     slip = shares * root_slip(feet[:-1], feet[1:], contacts[1:])
     shift[1:] = -np.cumsum(slip, axis=0, dtype=np.float64)
-    return smoothed(shift, WAY.hold_frames)
+    return smoothed(shift, ROOT_PATH.hold_frames)
 
 
-def _eased(begun: Array, most: float | None, fps: float) -> Array:
+def _eased(track: Array, most: float | None, fps: float) -> Array:
     """Shifts (T, 2) in cm that bring the acceleration of a path (T, 2) below a limit in m/s^2.
 
     Each frame above the limit moves towards the midpoint of the frames before and after. Those move the other way, so
     the path as a whole stays in place.
     """
     span = max(1, round(PACE_SECONDS * fps))
-    if most is None or len(begun) <= 2 * span:
-        return np.zeros_like(begun)
+    if most is None or len(track) <= 2 * span:
+        return np.zeros_like(track)
     unit = 100.0 * (span / fps) ** 2  # second difference of the path in cm at 1 m/s^2
-    first = _extended(begun, span)
-    way = first.copy()
-    for _ in range(WAY.rounds):
-        bend = way[2 * span :] - 2.0 * way[span:-span] + way[: -2 * span]
+    first = _extended(track, span)
+    path = first.copy()
+    for _ in range(ROOT_PATH.rounds):
+        bend = path[2 * span :] - 2.0 * path[span:-span] + path[: -2 * span]
         size = length(bend)
         excess = bend * (np.maximum(size - most * unit, 0.0) / np.maximum(size, 1e-9))[:, None]
-        if length(excess).max() < WAY.close * most * unit:
+        if length(excess).max() < ROOT_PATH.close * most * unit:
             break
-        push = WAY.rate * smoothed(excess, WAY.smooth_frames)
-        way[span:-span] += 2.0 * push
-        way[2 * span :] -= push
-        way[: -2 * span] -= push
-    shift = (way - first)[2 * span : -2 * span]
+        push = ROOT_PATH.rate * smoothed(excess, ROOT_PATH.smooth_frames)
+        path[span:-span] += 2.0 * push
+        path[2 * span :] -= push
+        path[: -2 * span] -= push
+    shift = (path - first)[2 * span : -2 * span]
     # The first frame stays in place: the motion continues a clip or a path.
     return shift - shift[0] * (1.0 - smoothstep(np.minimum(np.arange(len(shift)) / (2 * span), 1.0)))[:, None]
 
 
-def _extended(way: Array, span: int) -> Array:
+def _extended(path: Array, span: int) -> Array:
     """Extend a path (T, 2) at both ends by twice `span` frames, at the velocities of its ends."""
     frames = np.arange(1, 2 * span + 1)[:, None]
-    before, after = (way[1] - way[0]) * frames[::-1], (way[-1] - way[-2]) * frames
-    return np.concatenate([way[0] - before, way, way[-1] + after])
+    before, after = (path[1] - path[0]) * frames[::-1], (path[-1] - path[-2]) * frames
+    return np.concatenate([path[0] - before, path, path[-1] + after])

@@ -1,4 +1,4 @@
-"""Opening of a motion: the frames a character starts from, and how much of its first type they show."""
+"""The frames a character starts from, and how much of its first type they show."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from motionkit.motion.skeleton import Skeleton
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class StartState:
     """What the frames before a motion show.
 
     Attributes:
@@ -34,23 +34,23 @@ class Shown:
 
 
 @dataclass(frozen=True, eq=False)
-class Opening:
+class CharacterStart:
     """The frames one character starts from.
 
     Attributes:
         start: the frames, on the character's body.
-        shown: what they show.
+        start_state: what they show.
         length: length in frames of the performance that the start pose begins; 0 for other types and for a clip.
     """
 
     start: Start
-    shown: Shown
+    start_state: StartState
     length: float
 
 
-def opening(
+def character_start(
     model: MotionModel, kind: str, body: Skeleton, init: str | Path | Motion | None = None, choice: int = 0
-) -> Opening:
+) -> CharacterStart:
     """Start from a type's own start pose, or from the first frames of a clip.
 
     Args:
@@ -66,12 +66,12 @@ def opening(
     features = start.features[0]
     poses, speed = last_poses(model, features), last_speed(model, features)
     if init is not None:
-        shown = Shown(poses, frames_behind(model, kind, poses), speed)
-        return Opening(on_body(model, start, body), shown, 0.0)
+        start_state = StartState(poses, frames_behind(model, kind, poses), speed)
+        return CharacterStart(on_body(model, start, body), start_state, 0.0)
     # A start pose is the beginning of a performance, so its frames have been shown.
     length = model.phase_seconds(kind) * model.fps
-    shown = Shown(poses, len(features) if length else 0, speed)
-    return Opening(on_body(model, start, body), shown, length)
+    start_state = StartState(poses, len(features) if length else 0, speed)
+    return CharacterStart(on_body(model, start, body), start_state, length)
 
 
 def last_poses(model: MotionModel, features: Array) -> Array:

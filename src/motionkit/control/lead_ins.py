@@ -1,4 +1,4 @@
-"""Staging: performances are shown whole, from a stand or a run-up to a stand, and strikes and jumps to their end."""
+"""Lead-ins and ends: performances are whole, from standing or a run-up to standing; strikes and jumps end whole."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from motionkit.control.character_start import StartState
 from motionkit.control.memory import AFTER_EVENT
 from motionkit.control.momentum import forward_speeds
-from motionkit.control.opening import Shown
 from motionkit.control.plan import Plan, plan_types
 from motionkit.control.planned_controls import plan_controls
 from motionkit.control.script import TypePart
@@ -17,9 +17,9 @@ from motionkit.features.reference import PAUSE
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import RUN_SPEED, MotionKind
 
-# Seconds of a stand before a performance, of a run-up, of the least and of the usual stand at the end; chosen. Strikes
+# Seconds of standing before a performance, of a run-up, of the least and usual standing at the end; chosen. Strikes
 # and jumps get more, because the first may take longer than the mean.
-STAND_BEFORE, RUN_UP, LEAST_REST, REST, REST_OF_EVENTS = 0.5, 0.75, 0.5, 1.0, 1.5
+IDLE_BEFORE, RUN_UP, LEAST_REST, REST, REST_OF_EVENTS = 0.5, 0.75, 0.5, 1.0, 1.5
 # Share of the speed at which a performance was begun that the body must have; a slower one needs a run-up.
 FAST_ENOUGH = 0.6
 
@@ -27,20 +27,22 @@ FAST_ENOUGH = 0.6
 def natural_seconds(model: MotionModel, names: Sequence[str]) -> list[float]:
     """Natural seconds of each of some types one after another; 0 for types without a length of their own.
 
-    A performance takes its run-up along, and the last one a stand at the end.
+    A performance includes its run-up, and the last one the standing at the end.
     """
     out = []
     for number, name in enumerate(names):
         seconds = model.phase_seconds(name)
-        if seconds and _stages(model):
-            seconds += _before(model, _lead(model, names[number - 1] if number else None, name))
+        if seconds and _has_lead_ins(model):
+            seconds += _before(model, _lead_in(model, names[number - 1] if number else None, name))
             if number == len(names) - 1:
                 seconds += REST if model.kind(name) is MotionKind.PERFORMANCE else REST_OF_EVENTS
         out.append(seconds)
     return out
 
 
-def staged(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = None) -> list[TypePart]:
+def with_lead_ins(
+    model: MotionModel, parts: Sequence[TypePart], start_state: StartState | None = None
+) -> list[TypePart]:
     """Add stands and run-ups to the parts with performances, within their seconds.
 
     A motion that begins with a performance, strike or jump begins standing, or running where the performance was
@@ -48,39 +50,39 @@ def staged(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = 
     the next part begins, or the body stands. Parts shorter than all this stay as they are.
 
     Args:
-        shown: what the clip shows that the motion continues; None if it begins with a start pose.
+        start_state: what the clip shows that the motion continues; None if it begins with a start pose.
 
     Raises:
         ControlError: for an unknown type.
     """
-    if not _stages(model):
+    if not _has_lead_ins(model):
         return list(parts)
-    stand = str(usual_gaits(model).stand)
+    idle = str(usual_gaits(model).stand)
     out: list[TypePart] = []
     left = 0.0
     for number, part in enumerate(parts):
         seconds, left = round(part.seconds * model.fps) / model.fps + left, 0.0
-        lead = _lead(model, out[-1].type if out else None, part.type, shown)
-        before, length = _before(model, lead), model.phase_seconds(part.type)
+        lead_in = _lead_in(model, out[-1].type if out else None, part.type, start_state)
+        before, length = _before(model, lead_in), model.phase_seconds(part.type)
         if model.kind(part.type) is not MotionKind.PERFORMANCE or seconds < before + length:
-            leads = bool(lead) and seconds >= before + length
-            out += [TypePart(lead, before)] if leads else []
-            out.append(TypePart(part.type, seconds - before if leads else seconds))
+            fits = bool(lead_in) and seconds >= before + length
+            out += [TypePart(lead_in, before)] if fits else []
+            out.append(TypePart(part.type, seconds - before if fits else seconds))
             continue
         last = number + 1 == len(parts)
-        again = _lead(model, part.type, part.type)
+        again = _lead_in(model, part.type, part.type)
         period = length + (_before(model, again) or PAUSE / model.fps)
         spare = seconds - before - length - (LEAST_REST if last else 0.0)
         more = max(0, int(spare / period))
         rest = seconds - before - length - more * period
-        if last and rest < LEAST_REST and (lead or out):
-            # Too short for a stand.
-            if lead:
+        if last and rest < LEAST_REST and (lead_in or out):
+            # Too short to stand.
+            if lead_in:
                 before += rest
             else:
                 out[-1] = TypePart(out[-1].type, out[-1].seconds + rest)
             rest = 0.0
-        out += [TypePart(lead, before)] if lead else []
+        out += [TypePart(lead_in, before)] if lead_in else []
         if again:
             out += [TypePart(part.type, length), TypePart(again, RUN_UP)] * more + [
                 TypePart(part.type, length)
@@ -90,18 +92,18 @@ def staged(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = 
         if not last:
             left = rest
         elif rest:
-            out.append(TypePart(stand, rest))
+            out.append(TypePart(idle, rest))
     return out
 
 
-def rested(model: MotionModel, plan: Plan, choice: int = 0) -> Plan:
+def with_final_rest(model: MotionModel, plan: Plan, choice: int = 0) -> Plan:
     """Let the body stand after the last strike or jump that ends before the end of a plan.
 
     Args:
         choice: picks among the reference clips, as in plan_controls.
     """
     last = plan.segments[-1]
-    if not _stages(model) or model.kind(last.type) is not MotionKind.EVENTS:
+    if not _has_lead_ins(model) or model.kind(last.type) is not MotionKind.EVENTS:
         return plan
     phase = plan_controls(model, plan, choice).phase[last.first :]
     # A phase ends where it becomes negative, or where the next one follows at once.
@@ -111,42 +113,42 @@ def rested(model: MotionModel, plan: Plan, choice: int = 0) -> Plan:
         return plan
     seconds = float(ends[-1]) / model.fps
     rest = TypePart(str(usual_gaits(model).stand), last.seconds - seconds)
-    return plan_types(model, [*plan.parts[:-1], TypePart(last.type, seconds), rest], plan.shown)
+    return plan_types(model, [*plan.parts[:-1], TypePart(last.type, seconds), rest], plan.start_state)
 
 
-def _stages(model: MotionModel) -> bool:
+def _has_lead_ins(model: MotionModel) -> bool:
     """Whether a model can stand and has recordings to follow."""
     return model.uses_references and usual_gaits(model).stand is not None
 
 
-def _before(model: MotionModel, lead: str) -> float:
+def _before(model: MotionModel, lead_in: str) -> float:
     """Seconds that a type takes before a performance."""
-    if not lead:
+    if not lead_in:
         return 0.0
-    return RUN_UP if model.kind(lead) is MotionKind.GAIT else STAND_BEFORE
+    return RUN_UP if model.kind(lead_in) is MotionKind.GAIT else IDLE_BEFORE
 
 
-def _lead(model: MotionModel, before: str | None, kind: str, shown: Shown | None = None) -> str:
-    """The type that leads to a performance, strike or jump: a stand, a run, or none.
+def _lead_in(model: MotionModel, before: str | None, kind: str, start_state: StartState | None = None) -> str:
+    """The type that leads to a performance, strike or jump: standing, a run, or none.
 
-    Strikes and jumps can begin at any speed (RecordingChoice), so only a stand at the beginning leads to them.
+    Strikes and jumps can begin at any speed (RecordingChoice), so they only need standing at the beginning.
 
     Args:
         before: the type before it; None at the beginning.
-        shown: what the clip shows that the motion continues, if any.
+        start_state: what the clip shows that the motion continues, if any.
     """
-    begins = before is None and shown is None
+    begins = before is None and start_state is None
     if model.kind(kind) is not MotionKind.PERFORMANCE:
         return str(usual_gaits(model).stand) if begins and model.kind(kind) is MotionKind.EVENTS else ""
     clips = model.types[kind].reference_clips
-    begun = float(np.median([forward_speeds(clip.ground, model.fps)[0] for clip in clips]))
-    runs = begun > RUN_SPEED
+    start_speed = float(np.median([forward_speeds(clip.ground, model.fps)[0] for clip in clips]))
+    runs = start_speed > RUN_SPEED
     if begins:
-        return steered_type(model, (0.0, begun), 0.0) if runs else str(usual_gaits(model).stand)
+        return steered_type(model, (0.0, start_speed), 0.0) if runs else str(usual_gaits(model).stand)
     if before is not None:
         gait = model.types[before].gait
         speed = 0.0 if gait is None or before == kind else gait.speed
     else:
-        assert shown is not None
-        speed = begun if shown.behind or shown.speed is None else shown.speed
-    return steered_type(model, (0.0, begun), 0.0) if runs and speed < FAST_ENOUGH * begun else ""
+        assert start_state is not None
+        speed = start_speed if start_state.behind or start_state.speed is None else start_state.speed
+    return steered_type(model, (0.0, start_speed), 0.0) if runs and speed < FAST_ENOUGH * start_speed else ""
