@@ -79,7 +79,7 @@ def changes(name: str, step: Callable[[Motion, np.ndarray], Motion], fps: float 
 
 STEPS: dict[str, Callable[[Motion, np.ndarray], Motion]] = {
     "feet": lock_feet,
-    "uncertain feet": lambda motion, contacts: lock_feet(motion, 0.3 + 0.4 * contacts),
+    "uncertain feet": lambda motion, contacts: lock_feet(motion, 0.3 + 0.45 * contacts),
     "toes": lambda motion, contacts: clear_toes(motion),
     "fingers": lambda motion, contacts: fingers_above(motion),
     "ground": lambda motion, contacts: above_ground(lowered(motion, 20.0)),

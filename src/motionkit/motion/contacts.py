@@ -16,15 +16,15 @@ _FILTER = 2  # frames at 60 fps to both sides in the majority vote, which remove
 
 
 def foot_contacts(global_positions: Array, fps: float) -> Array:
-    """Contact labels (T, 4), 0 or 1, of left foot, left toe, right foot, right toe.
+    """Contact labels (T, 4), float32 0 or 1, of left foot, left toe, right foot, right toe.
 
     global_positions (T, 23, 3) are those of the canonical joints in cm, the floor at height zero.
     """
     feet = global_positions[:, list(FOOT_JOINTS)]
     if len(feet) < 2:
-        return (feet[..., 1] < np.array(CONTACT_HEIGHTS)).astype(feet.dtype)
+        return (feet[..., 1] < np.array(CONTACT_HEIGHTS)).astype(np.float32)
     touching = (joint_speeds(feet, fps) < CONTACT_SPEED) & (feet[..., 1] < np.array(CONTACT_HEIGHTS))
-    return _majority(touching.astype(feet.dtype), max(1, round(_FILTER * fps / 60.0)))
+    return _majority(touching.astype(np.float32), max(1, round(_FILTER * fps / 60.0)))
 
 
 def joint_speeds(places: Array, fps: float) -> Array:
