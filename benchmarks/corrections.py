@@ -81,7 +81,7 @@ def without(name: str) -> Callable[[Unfinished], Motion]:
                 "_floating",
                 lambda positions: np.zeros(len(positions)),
             ),
-            "toes above the ground": (finish, "clear_toes", lambda motion: motion),
+            "toes above the ground": (finish, "clear_toes", lambda motion, *heights: motion),
             "free fall": (root_height, "_free_fall", lambda positions, fps, size: np.zeros(len(positions))),
         }[name]
         with patch.object(place, function, instead):

@@ -22,7 +22,7 @@ LEAST: dict[str, list[str]] = {
         "times OUT --device cpu --seeds 1 --steps 2 --names TPTN --batch 1",
     ],
     "in_between": [""],
-    "live": ["--characters 1 --frames 2"],
+    "live": ["--characters 1 --frames 2 --presses 2 --repeats 1"],
     "metric_response": [""],
     "pages": ["--figures 1 --pictures 2"],
     "preprocessing": ["--copies 1 --jobs 1"],
@@ -38,7 +38,7 @@ def test_no_script_is_left_out() -> None:
     assert {path.stem for path in (ROOT / "benchmarks").glob("*.py")} == {*LEAST, "common"}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", LEAST)
 def test_it_runs(name: str, tmp_path: Path, paper_folder: Path, dataset_folder: Path) -> None:
     browsers = ("chromium", "chromium-browser", "google-chrome")

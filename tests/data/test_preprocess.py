@@ -153,6 +153,24 @@ def folder(tmp_path: Path) -> Path:
     return folder
 
 
+def test_digest_knows_files_and_types_but_not_last_bits(dataset_folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(dataset_folder, copy)
+    ground = np.load(copy / "ground.npy")
+    np.save(copy / "ground.npy", np.nextafter(ground, np.inf))
+    digest = Dataset(dataset_folder).digest()
+    assert Dataset(copy).digest() == digest != Dataset(copy).digest("test")
+    manifest = json.loads((copy / "manifest.json").read_text())
+    for file in manifest["files"]:
+        file["sha256"] = file["sha256"][::-1]
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    assert Dataset(copy).digest() != digest
+    types = np.load(dataset_folder / "types.npy")
+    np.save(copy / "types.npy", np.roll(types, 1))
+    shutil.copy(dataset_folder / "manifest.json", copy)
+    assert Dataset(copy).digest() != digest
+
+
 def test_types_come_from_file_names_where_nothing_else_tells(folder: Path, tmp_path: Path) -> None:
     report = preprocess([folder], tmp_path / "out", ONE_JOB)
     assert report.labels is None

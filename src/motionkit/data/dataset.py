@@ -43,6 +43,7 @@ from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 from motionkit.names import nfc
 
 FORMAT = 1
+MIRRORED = " (mirrored)"  # ends the name of a mirrored clip
 SAME_BODY = 1e-3  # cm; offsets that differ by less belong to one body
 # Frames that the pose embedding is fitted to. Balance 0 weights all frames equally, 1 all types equally.
 EMBEDDING_FRAMES, EMBEDDING_BALANCE = 200_000, 0.75
@@ -298,15 +299,19 @@ class Dataset:
             )
 
     def digest(self, split: str = "train") -> str:
-        """A hash of what training depends on: types, scalings, and the ground tracks and types of a split's clips."""
-        names = ("feature_scaling", "trajectory_scaling")
-        facts = [self.types, self.layout.version, {name: self.manifest[name] for name in names}]
+        """A hash of what training depends on: the files, frames and types of a split's clips, and how they are encoded.
+
+        It has no computed numbers, whose last bits differ between processors.
+        """
+        files = {file["name"]: file.get("sha256", "") for file in self.manifest.get("files", [])}
+        facts = [self.types, self.layout.version, self.manifest["fps"], self.manifest.get("smoothed", False)]
         digest = hashlib.sha256(json.dumps(facts).encode())
         for clip in self.select(split):
-            rows = slice(clip.start, clip.start + clip.frames)
-            digest.update(json.dumps([clip.frames, clip.body, clip.mirrored]).encode())
-            for name in ("ground", "types"):
-                digest.update(np.ascontiguousarray(self._arrays[name][rows]).tobytes())
+            recording = clip.name.removesuffix(MIRRORED)
+            file = files.get(recording) or files.get(recording.rpartition(":")[0], "")
+            digest.update(json.dumps([file, clip.frames, clip.body, clip.mirrored]).encode())
+            types = self._arrays["types"][clip.start : clip.start + clip.frames]
+            digest.update(np.ascontiguousarray(types).tobytes())
         return digest.hexdigest()
 
     def clip_types(self, clip: Clip) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.checking import ARRAY_KINDS
-from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
+from motionkit.data.dataset import FORMAT, MIRRORED, Clip, ClipData, mirror_clip
 from motionkit.data.first_pass import FPS, Prepared, Run
 from motionkit.data.folder import ArrayWriter
 from motionkit.data.labels import mirrored_type
@@ -272,7 +272,7 @@ def _with_mirrored(
 ) -> list[Clip]:
     """The clip, and its mirrored clip if it gets one."""
     base = asdict(clip)
-    image = {**base, "name": clip.name + " (mirrored)", "mirrored": True}
+    image = {**base, "name": clip.name + MIRRORED, "mirrored": True}
     if clip.split == "mirror":
         trains, tests = {**base, "split": "train"}, {**image, "split": "test"}
         if hashed(clip.name)[0] % 2:

@@ -60,7 +60,7 @@ class Checkpoint:
             "step": at.step,
             "seconds": at.seconds,
             "options": self.options.to_dict(),
-            "data": self.digest,
+            "clips": self.digest,
         }
         tensors = {f"weights.{n}": t for n, t in learner.module.state_dict().items()}
         tensors.update({f"average.{n}": t for n, t in learner.average.items()})
@@ -99,7 +99,7 @@ class Checkpoint:
                 raise ModelError(
                     f"{path}: the checkpoint does not fit this preset or is damaged ({error})"
                 ) from None
-        if facts.get("data", self.digest) != self.digest:  # earlier releases did not write it
+        if facts.get("clips", self.digest) != self.digest:  # earlier releases did not write it
             raise DatasetError(
                 f"{path}: the run was started with other training clips than those of "
                 f"{self.data}; resume it with the same, or delete {path.parent} and start anew"

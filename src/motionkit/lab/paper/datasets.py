@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.data.dataset import Clip, Dataset
+from motionkit.data.dataset import MIRRORED, Clip, Dataset
 from motionkit.errors import DatasetError
 from motionkit.files import read_json
 from motionkit.names import counted
@@ -140,7 +140,7 @@ def _long(clips: list[Clip]) -> list[Clip]:
 
 
 def _image(clip: Clip) -> Clip:
-    return replace(clip, name=f"{clip.name} (mirrored)", mirrored=True)
+    return replace(clip, name=clip.name + MIRRORED, mirrored=True)
 
 
 def _with_mirrors(dataset: Dataset, train: list[Clip], test: list[Clip], types: set[str]) -> list[Clip]:

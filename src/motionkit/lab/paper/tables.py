@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from motionkit.data.dataset import MIRRORED
 from motionkit.lab.paper.datasets import SELECTIONS
 from motionkit.lab.paper.protocol import means
 from motionkit.lab.paper.published import BODY_MOVEMENT, BY_DATA_SET
@@ -421,7 +422,7 @@ def budget_lines(results: Results) -> list[str]:
 def _test_set(here: Results) -> str:
     """Say what a folder's runs were tested on, and how far recordings differ that were prepared at different times."""
     rows = here[0]["sequences"]
-    mirrored = sum("(mirrored)" in row["sequence"] for row in rows)
+    mirrored = sum(row["sequence"].endswith(MIRRORED) for row in rows)
     frames = sum(row["frames"] for row in rows)
     text = f"Tested on {len(rows)} sequences, {frames:,} frames"
     text += f", {mirrored} of them mirror images of training clips." if mirrored else "."
