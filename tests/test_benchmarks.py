@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # What a script is asked for, run by run. PAPER, FREE and OUT are datasets and a new folder.
 LEAST: dict[str, list[str]] = {
     "bvh_reading": ["--frames 60 --repeats 1"],
+    "clips": ["examples/data/16_05.bvh --pairs 2"],
     "corrections": ["--count 1"],
     "demo": ["--characters 1 --pictures 2"],
     "films": ["--figures 1 --width 64"],
