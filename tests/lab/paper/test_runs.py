@@ -18,7 +18,7 @@ from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.lab.held_out import held_out
-from motionkit.lab.paper import runs
+from motionkit.lab.paper import rollout_sheets, runs
 from motionkit.lab.paper.datasets import SELECTIONS, Selection, is_dance, select
 from motionkit.lab.paper.kept_rollouts import rollouts_file
 from motionkit.lab.paper.model_results import made_from
@@ -29,6 +29,7 @@ from motionkit.lab.paper.tables import tables
 from motionkit.lab.paper.variants import GROUPS, VARIANTS, Variant, chosen, parameters, variant
 from motionkit.models.bundled import BUNDLED, open_model
 from motionkit.motion.bvh import write_bvh
+from motionkit.motion.kinematics import motion_kinematics
 from motionkit.training.presets import train_options
 from synthetic_motions import make_cartwheel, make_dance, make_idle, make_walk
 
@@ -117,6 +118,24 @@ def test_finished_runs_are_measured_again_from_their_roll_outs(plan: Plan) -> No
     file.write_text(json.dumps(result | {"made": result["made"] | {"test": "x"}}))
     with pytest.raises(MotionkitError, match=r"mvae-0\.json: made from other test clips"):
         list(measure_again(plan.data, plan.results))
+
+
+def test_sheets_show_what_networks_made_below_the_recorded(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("MVAE", "TPTN"):
+        run(plan, variant(name))
+    tested = read_results(plan.results)[0]["sequences"][0]["type"]
+    monkeypatch.setattr(rollout_sheets, "KINDS", {"10": tested, "11": "a type that is not tested"})
+    drawn: list[tuple[str, Any]] = []
+    monkeypatch.setattr(rollout_sheets, "write_contact_sheet", lambda path, rows, poses: drawn.extend(rows))
+    (path,) = rollout_sheets.write_sheets(plan.data, plan.results, tmp_path)
+    assert path.name == f"figure-10-{tested}.png"
+    assert [name for name, _ in drawn] == ["recorded", "TPTN", "MVAE"]
+    motions = [motion for _, motion in drawn]
+    assert len({len(motion) for motion in motions}) == 1
+    first = [motion_kinematics(motion)[1][0] for motion in motions]
+    assert 0.0 < max(np.abs(each - first[0]).max() for each in first[1:]) < 100.0  # cm, after one frame
 
 
 def test_untrained_contacts_are_not_fed_back() -> None:

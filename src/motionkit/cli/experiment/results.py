@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import FILE, stdout_console
+from motionkit.cli.common import FILE, FOLDER, option, stdout_console
 from motionkit.cli.experiment.options import needs_torch, output_option, results_option
 from motionkit.errors import MotionkitError
 
@@ -32,13 +32,20 @@ def tables_command(results: Path, selection: str | None, output: Path, latex: Pa
 
 @click.command("figures")
 @results_option
+@option(
+    "--data",
+    type=FOLDER,
+    help="Dataset folder of the runs: also draw what networks made of a jump and of a twist (paper figures 10, 11).",
+)
 @output_option("experiments/figures", folder=True)
-def figures_command(results: Path, output: Path) -> None:
+def figures_command(results: Path, data: Path | None, output: Path) -> None:
     """Draw PNGs from the results: training curves, BM against AFS, and inference speed against parts."""
     needs_torch()
     from motionkit.lab.paper.figures import write_figures
+    from motionkit.lab.paper.rollout_sheets import write_sheets
 
-    for path in write_figures(_read(results), output):
+    sheets = write_sheets(data, results, output) if data else ()
+    for path in (*write_figures(_read(results), output), *sheets):
         stdout_console().print(f"wrote {path}")
 
 

@@ -6,7 +6,7 @@ import json
 import platform
 import re
 import tempfile
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -378,11 +378,24 @@ def measure_again(data: Path, results: Path) -> Generator[Path, None, None]:
     Raises:
         MotionkitError: a result or its roll-outs are damaged, or were made from other clips.
     """
+    for file, result, dataset in kept_runs(data, results):
+        result |= measured(dataset, file, result["longest"])
+        check_result(result)
+        write_json(file, result)
+        yield file
+
+
+def kept_runs(data: Path, results: Path) -> Iterator[tuple[Path, dict[str, Any], Dataset]]:
+    """Yield each result below a folder whose roll-outs are kept: its file, its fields, and the data that it is of.
+
+    Raises:
+        MotionkitError: a result is damaged, or was made from other clips.
+    """
     datasets: dict[str, tuple[Dataset, dict[str, str]]] = {}
     for kept in sorted(results.rglob("*.npz")):
         file = kept.with_suffix(".json")
         result = read_json(file, "the result of an experiment", MotionkitError)
-        if not isinstance(result, dict) or not {"data", "made", "longest"} <= set(result):
+        if not isinstance(result, dict) or not {"name", "seed", "data", "made", "longest"} <= set(result):
             raise MotionkitError(f"{file}: not the result of an experiment; delete it and {kept.name}")
         selection = str(result["data"])
         if selection not in datasets:
@@ -390,10 +403,7 @@ def measure_again(data: Path, results: Path) -> Generator[Path, None, None]:
             datasets[selection] = dataset, made_from(dataset)
         dataset, made = datasets[selection]
         _check_clips(file, result["made"], made, f"{data} ({selection})")
-        result |= measured(dataset, file, result["longest"])
-        check_result(result)
-        write_json(file, result)
-        yield file
+        yield file, result, dataset
 
 
 def _check_clips(file: Path, found: dict[str, str], made: dict[str, str], where: str) -> None:
