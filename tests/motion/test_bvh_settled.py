@@ -28,12 +28,13 @@ def with_values(text: str, change: Callable[[np.ndarray], list[str]]) -> str:
     )
 
 
-def spoilt(word: str) -> Callable[[str], str]:
-    """The second frame's root height is no number; its neighbours say 90.0 and 90.2."""
+def spoilt(word: str, beside: str = "") -> Callable[[str], str]:
+    """The second frame's root height is no number; its neighbours say 90.0 and 90.2. So is perhaps the x beside it."""
 
     def change(values: np.ndarray) -> list[str]:
         values = values.astype("U16")
         values[1, 1] = word
+        values[1, 0] = beside or values[1, 0]
         return [" ".join(row) for row in values]
 
     return lambda text: with_values(text, change)
@@ -48,6 +49,7 @@ SETTLED = {
     "last row cut": (lambda text: text.rstrip().rsplit(" ", 3)[0], "1 cut frame at the end left out", 2),
     "nan": (spoilt("nan"), "1 value without a number filled from neighbouring frames", 3),
     "ind": (spoilt("-1.#IND00"), "1 value without a number filled from neighbouring frames", 3),
+    "both infinities": (spoilt("inf", "-inf"), "2 values without a number filled from neighbouring frames", 3),
     "decimal commas": (
         lambda text: with_values(text, lambda v: [" ".join(row).replace(".", ",") for row in v]),
         "36 numbers with a decimal comma",
@@ -89,6 +91,7 @@ def read_noting(path: Path) -> tuple[BvhFile, list[str]]:
         return read_bvh(path), heard
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("kind", SETTLED)
 def test_settled_and_noted_or_refused(tmp_path: Path, broken_folder: Path, good_text: str, kind: str) -> None:
     change, note, frames = SETTLED[kind]

@@ -145,9 +145,9 @@ def filled(values: NDArray[np.float64], channels: list[str], notes: Notes) -> ND
 
     Angles take the shorter way round. A channel without any number becomes zero. Too many such values stay.
     """
-    if not values.size or np.isfinite(values.min() + values.max()):
-        return values
     known = np.isfinite(values)
+    if known.all():
+        return values
     if known.mean() < 1.0 - MOST_UNKNOWN:
         return values
     values, times = np.where(known, values, 0.0), np.arange(len(values))
