@@ -129,3 +129,18 @@ def test_help_imports_no_torch(command: str) -> None:
     )
     code += "; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_without_a_target_the_file_is_named_after_the_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    source = tmp_path / "clips" / "kick.bvh"
+    source.parent.mkdir()
+    source.write_text(RIG)
+    assert run(monkeypatch, "mirror", source) == run(monkeypatch, "mirror", source) == 0
+    made = [Path("kick-mirrored.bvh"), Path("kick-mirrored-2.bvh")]
+    assert "wrote kick-mirrored.bvh: " in capsys.readouterr().out
+    assert made[0].read_bytes() == made[1].read_bytes() != source.read_bytes()
+    assert run(monkeypatch, "mirror", source, "a.bvh", "-o", "b.bvh") == 2
+    assert not list(tmp_path.glob("?.bvh"))
