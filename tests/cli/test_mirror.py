@@ -66,7 +66,7 @@ def test_the_output_may_be_an_option(
     clip.write_text(RIG)
     assert run(monkeypatch, "mirror", clip, "-o", made) == run(monkeypatch, "mirror", clip, other) == 0
     assert made.read_bytes() == other.read_bytes()
-    assert run(monkeypatch, "mirror", clip) == run(monkeypatch, "mirror", clip, made, "-o", other) == 2
+    assert run(monkeypatch, "mirror", clip, made, "-o", other) == 2
     assert "one place to write to" in capsys.readouterr().err
 
 
@@ -142,5 +142,3 @@ def test_without_a_target_the_file_is_named_after_the_source(
     made = [Path("kick-mirrored.bvh"), Path("kick-mirrored-2.bvh")]
     assert "wrote kick-mirrored.bvh: " in capsys.readouterr().out
     assert made[0].read_bytes() == made[1].read_bytes() != source.read_bytes()
-    assert run(monkeypatch, "mirror", source, "a.bvh", "-o", "b.bvh") == 2
-    assert not list(tmp_path.glob("?.bvh"))
