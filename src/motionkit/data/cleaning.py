@@ -1,4 +1,4 @@
-"""Repairs capture artefacts: T-poses at the ends, pops, flipped knees and elbows, and wrong floor heights.
+"""Repairs capture artefacts: T-poses at the ends, pops, flipped limbs and feet, and wrong floor heights.
 
 A pop is a joint or root that jumps away for a few frames and returns. Every detector compares a frame with its
 neighbours. Kicks, flips and cartwheels are fast for many frames in a row, so they pass unchanged. At leaps
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from motionkit.arrays import Array, lower_median, normalized
+from motionkit.motion.ankles import repair_ankles
 from motionkit.motion.floor import TOES, floor_shift
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -129,10 +130,10 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
 
     At least two frames are kept. In a motion of one or two frames, only the floor height is corrected.
     """
-    cut, pops = repair(motion)  # first, so that a pop near an end is not taken for a break
+    cut, pops = _repaired(motion)  # first, so that a pop near an end is not taken for a break
     start, end = _good_span(cut)
     if end - start < len(motion):
-        cut, pops = repair(motion.cut(start, end))
+        cut, pops = _repaired(motion.cut(start, end))
     shift, floor_notes = floor_shift(cut)
     notes = floor_notes + _jumps_left(cut, start)
     up = np.array([0.0, shift, 0.0], cut.root_positions.dtype)
@@ -140,6 +141,16 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
         start, len(motion) - end, tuple(sorted({(t + start, name) for t, name in pops})), shift, notes
     )
     return replace(cut, root_positions=cut.root_positions + up), report
+
+
+def _repaired(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion of the canonical joints without flips, pops and feet beyond their range, and what was repaired.
+
+    Feet come last, because the jumps of a foot tell a flipped leg.
+    """
+    repaired, found = repair(motion)
+    in_range, feet = repair_ankles(repaired)
+    return in_range, found + feet
 
 
 def repair(motion: Motion, limbs: Sequence[Limb] = LIMBS) -> tuple[Motion, list[tuple[int, str]]]:

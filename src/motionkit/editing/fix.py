@@ -21,10 +21,17 @@ from motionkit.finish.finish import Finish, finish
 from motionkit.metrics.body_movement import geodesic_movement
 from motionkit.metrics.report import evaluate_motion
 from motionkit.metrics.smoothness import mean_jerk
+from motionkit.motion.ankles import Foot, repair_ankles
 from motionkit.motion.floor import TOES, floor_shift
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_continuous, quat_inverse, quat_multiply, quat_normalize
+from motionkit.motion.rotations import (
+    quat_angle,
+    quat_continuous,
+    quat_inverse,
+    quat_multiply,
+    quat_normalize,
+)
 from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
 from motionkit.names import counted
 from motionkit.rig.names import RigMap, map_rig
@@ -52,8 +59,9 @@ MOST_APART, APART, APART_SHARE = 3, 10.0, 8.0
 WORSE_SHARE = 1.05
 WORSE = {"jerk": 0.02, "afs": 0.005, "floor": 0.02, "standing-speed": 0.1}
 WORSE_BESIDE = {"afs": 0.02, "penetration-max": 0.5, "jerk": 0.02}
-# cm that a pass moves joints, in the mean and at most, below which it is left out and repairs end: nobody sees them.
-SEEN_MEAN, SEEN = 0.05, 1.0
+# cm that a pass moves joints, in the mean and at most, and radians that it turns them, below which it is left out
+# and repairs end: nobody sees them.
+SEEN_MEAN, SEEN, SEEN_TURN = 0.05, 1.0, 1.0
 # Share of a track's third differences that the filter leaves at most if it trembles: .06 to .45 in trembling captures,
 # by their rate, .55 to 1 in clean ones, fast or slow; measured.
 TREMBLES = 0.5
@@ -116,9 +124,9 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
     first = _apart(motion)
     source = Upright.of(motion.cut(first, len(motion)))
     made, rig = source.motion, _rig(source.motion)
-    limbs = _limbs(made, rig)
+    joints = _Joints(_limbs(made, rig), _feet(made, rig))
     costs = _Costs(_standing(source))
-    found = repair(made, limbs)[1]
+    found = _repaired(made, joints)[1]
     glitches: list[tuple[int, str]] = []
     notes: list[str] = []
     if first:
@@ -126,7 +134,7 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         notes = [f"the first {words} no part of the motion, such as a rest pose: left as it is"]
     refused: dict[str, str] = {}
     for number in range(PASSES):
-        tried = _one_pass(made, repairs, rig, limbs, costs)
+        tried = _one_pass(made, repairs, rig, joints, costs)
         notes += tried.notes if number == 0 else ()
         refused = tried.refused if number == 0 else {k: v for k, v in refused.items() if k in tried.refused}
         if _unchanged(made, tried.motion):
@@ -135,7 +143,7 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
     if made is source.motion:
         same = costs.table(source, source, (len(found),) * 2)
         return Fixed(motion, same, (), (*notes, *refused.values(), "nothing to repair"))
-    table = costs.table(source, Upright(made), (len(found), len(repair(made, limbs)[1])))
+    table = costs.table(source, Upright(made), (len(found), len(_repaired(made, joints)[1])))
     repaired_frames = tuple(dict.fromkeys((frame + first, joint) for frame, joint in glitches))
     return Fixed(
         motion.cut(0, first).followed_by(source.back(made)),
@@ -143,6 +151,13 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         repaired_frames,
         (*notes, *refused.values()),
     )
+
+
+class _Joints(NamedTuple):
+    """The legs and arms of a rig, and the ankle and toes of its left and right foot, where they are known."""
+
+    limbs: list[Limb]
+    feet: list[Foot | None]
 
 
 class _Pass(NamedTuple):
@@ -154,9 +169,7 @@ class _Pass(NamedTuple):
     refused: dict[str, str]
 
 
-def _one_pass(
-    source: Motion, repairs: Repairs, rig: RigMap | None, limbs: list[Limb], costs: _Costs
-) -> _Pass:
+def _one_pass(source: Motion, repairs: Repairs, rig: RigMap | None, joints: _Joints, costs: _Costs) -> _Pass:
     """All chosen repairs once. They depend on the motion alone, so that a next run leaves what is repaired here."""
     made = Upright(source)
     first = was = costs.of(made)
@@ -166,7 +179,7 @@ def _one_pass(
     if repairs.glitches:
         bridged, spikes = _without_spikes(source)
         notes += [f"the root leaps away in {counted(spikes, 'frame')}: bridged"] if spikes else []
-        repaired, glitches = _without_glitches(bridged, limbs)
+        repaired, glitches = _without_glitches(bridged, joints)
         if repaired is not source:
             made = Upright(repaired)
             was = costs.of(made)
@@ -187,7 +200,8 @@ def _one_pass(
 def _unchanged(before: Motion, after: Motion) -> bool:
     """Whether a pass has changed nothing that a person could see."""
     moved = np.linalg.norm(motion_kinematics(after)[1] - motion_kinematics(before)[1], axis=-1)
-    return bool(moved.mean() < SEEN_MEAN and moved.max() < SEEN)
+    turned = quat_angle(before.local_rotations, after.local_rotations)
+    return bool(moved.mean() < SEEN_MEAN and moved.max() < SEEN and turned.max() < SEEN_TURN)
 
 
 def _apart(motion: Motion) -> int:
@@ -205,17 +219,27 @@ def _apart(motion: Motion) -> int:
     return first
 
 
-def _without_glitches(motion: Motion, limbs: list[Limb]) -> tuple[Motion, list[tuple[int, str]]]:
+def _without_glitches(motion: Motion, joints: _Joints) -> tuple[Motion, list[tuple[int, str]]]:
     """The motion without glitches, repaired as long as that leaves fewer of them, and all that were repaired."""
     every: list[tuple[int, str]] = []
-    repaired, found = repair(motion, limbs)
+    repaired, found = _repaired(motion, joints)
     for _ in range(PASSES):
-        again, left = repair(repaired, limbs)
+        again, left = _repaired(repaired, joints)
         if len(left) >= len(found):
             break
         motion, every = repaired, every + found
         repaired, found = again, left
     return motion, list(dict.fromkeys(every))
+
+
+def _repaired(motion: Motion, joints: _Joints) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion without flipped limbs, pops and feet beyond the range of the ankle, and the repaired frames."""
+    repaired, found = repair(motion, joints.limbs)
+    canonical = Upright(repaired).canonical if any(joints.feet) else None
+    if canonical is None:
+        return repaired, found
+    in_range, feet = repair_ankles(repaired, canonical, joints.feet)
+    return in_range, found + feet
 
 
 def _without_spikes(motion: Motion) -> tuple[Motion, int]:
@@ -349,6 +373,18 @@ def _limbs(motion: Motion, rig: RigMap | None) -> list[Limb]:
                 continue
             if motion.skeleton.parents[middle] == upper and motion.skeleton.parents[end] == middle:
                 out.append((upper, middle, end))
+    return out
+
+
+def _feet(motion: Motion, rig: RigMap | None) -> list[Foot | None]:
+    """Ankle and toe joint of the left and right foot, where the one directly follows the other."""
+    out: list[Foot | None] = []
+    for side in SIDES:
+        ankle, toe = (
+            rig.places.get(side + name) if rig is not None else None for name in ("Foot", "ToeBase")
+        )
+        joined = ankle is not None and toe is not None and motion.skeleton.parents[toe] == ankle
+        out.append((ankle, toe) if joined else None)  # type: ignore[arg-type]
     return out
 
 

@@ -10,6 +10,7 @@ from motionkit.finish.hands import fingers_above
 from motionkit.finish.root_height import above_ground, in_the_air
 from motionkit.finish.root_path import corrected_path
 from motionkit.finish.soles import plant_soles
+from motionkit.motion.ankles import ankles_in_range
 from motionkit.motion.motion import Motion
 from motionkit.rig.soles import Sole
 
@@ -58,6 +59,8 @@ def finish(motion: Motion, contacts: Array, settings: Finish) -> Motion:
         contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
         settings: the settings.
     """
+    if settings.drawn:
+        motion = ankles_in_range(motion)
     motion = corrected_path(above_ground(motion), contacts, settings.hold, settings.most)
     motion = lock_feet(motion, contacts)
     if settings.drawn:
