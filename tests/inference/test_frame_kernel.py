@@ -101,7 +101,7 @@ def test_poses_feet_and_floors_of_every_kind(layout: str) -> None:
         ours = kernel.pose(features, contacts, ground)
         rotations, root, positions = oracle.pose(features, contacts, ground)
         apart.append(np.abs(ours[2] - positions).max(axis=(1, 2)))
-        assert np.median(np.abs(ours[0] - rotations)) < 1e-6
+        assert np.mean(np.abs((ours[0] * rotations).sum(-1)) > 1.0 - 1e-5, axis=0).min() > 0.9  # each joint
         assert np.array_equal(feet[0].plants.locked, feet[1].plants.locked)
         assert np.median(np.abs(bodies[0].rise - bodies[1].rise)) < 1e-5
         assert np.median(np.abs(ours[1] - root)) < 1e-5

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
-from motionkit.arrays import Floats
+from motionkit.arrays import Floats, normalized
 from motionkit.features.decode import decode_rotations, root_height
 from motionkit.inference.frame_arrays import BodyArrays
+from motionkit.motion.ankles import FEET, rolled_back
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_to_matrix
 from motionkit.motion.skeleton import PARENTS
@@ -48,6 +51,10 @@ class NumpyPose:
         body, scale = self.body, self.body.scale
         rotations, root = decode(features, ground, self.reference_rotations, self.layout)
         root *= scale[:, None]
+        if body.feet is not None:
+            for row, (ankle, toe) in product(range(len(rotations)), FEET):
+                length = normalized(body.offsets[row, toe])
+                rotations[row, ankle] = rolled_back(rotations[row, None, ankle], length)[0]
         world = world_transforms(rotations, root, body.offsets)
         rise = scale * follow(self.layout, body.rise, features, world[..., 1, 3] / scale[:, None])
         root[:, 1] += rise

@@ -183,6 +183,21 @@ static Leg leg_of(const Feet *f, int side, const Vec3 *positions) {
                  {0, 0, 0}, {1, 0, 0, 0}};
 }
 
+void roll_back(const Feet *f, const Vec3 *offsets, Quat *rotations) {
+    const float pi = 3.14159265f;
+    for (int side = 0; side < 2; side++) {
+        const Vec3 toe = offsets[f->toe[side]], along = times(1.0f / larger(length(toe), 1e-9f), toe);
+        Quat *foot = rotations + f->ankle[side];
+        float roll = 2.0f * atan2f(dot((Vec3){foot->x, foot->y, foot->z}, along), foot->w);
+        if (roll > pi) roll -= 2.0f * pi;
+        if (roll < -pi) roll += 2.0f * pi;
+        const float size = fabsf(roll);
+        if (size <= f->usual_roll) continue;
+        const float left = f->usual_roll * clip((f->roll - size) / (f->roll - f->usual_roll), 0.0f, 1.0f);
+        *foot = quat_product(*foot, about(along, roll > 0.0f ? left - size : size - left));
+    }
+}
+
 void lock_feet(const Feet *f, int64_t row, const float *contacts, float scale, const Mat3 *world, Quat *rotations,
                Vec3 *positions) {
     const int known = f->moving[row];

@@ -8,7 +8,7 @@
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 15; }
+int64_t frame_kernel_version(void) { return 16; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
@@ -261,12 +261,13 @@ void pose_frames(const Pose *p, int64_t rows) {
         for (int64_t j = 1; j < JOINTS; j++)
             rotations[j] = joint_rotation(features + p->joints + 3 * (j - 1), p->references + 16 * (j - 1));
         const Vec3 root = {scale * ground[0], scale * features[p->height], scale * ground[1]};
-        forward_kinematics(p, rotations, root, (const Vec3 *)p->offsets + row * JOINTS, world, positions);
+        const Vec3 *offsets = (const Vec3 *)p->offsets + row * JOINTS;
+        if (p->feet) roll_back(p->feet, offsets, rotations);
+        forward_kinematics(p, rotations, root, offsets, world, positions);
         raise_body(&p->height_correction, row, features, scale, positions);
         if (p->feet) {
             lock_feet(p->feet, row, p->contacts + 4 * row, scale, world, rotations, positions);
             if (p->soles->counts[4 * row]) {
-                const Vec3 *offsets = (const Vec3 *)p->offsets + row * JOINTS;
                 forward_kinematics(p, rotations, positions[0], offsets, world, positions);
                 plant_soles(p->soles, p->feet, row, offsets, world, rotations, positions);
             }

@@ -34,6 +34,7 @@ typedef struct {
     float standing, slack, lowest, swing, fast, rise, fall, max_pitch;
     float unsure, sure, ankle_share, ease, enough, limit, pace;
     float bent, thigh_share, alike, straightening, backwards, steep;
+    float usual_roll, roll; /* of motion/ankles.py */
     const float *hold;                         /* (B,) */
     float *carry;                              /* (B, 2) x, z */
     float *slip;                               /* (B, 2) x, z, of the last frame */
@@ -81,6 +82,9 @@ typedef struct {
     const Feet *feet;                           /* NULL: not locked */
     const Soles *soles;
 } Pose;
+
+/* Rolls feet back that are rolled over, as ankles_in_range of motion/ankles.py. */
+void roll_back(const Feet *feet, const Vec3 *offsets, Quat *rotations);
 
 /* Locks the feet of character row, whose world rotations are given; changes rotations and positions. */
 void lock_feet(const Feet *feet, int64_t row, const float *contacts, float scale, const Mat3 *world, Quat *rotations,

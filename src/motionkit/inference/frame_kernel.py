@@ -24,12 +24,13 @@ from motionkit.inference.foot_lock import FootLock
 from motionkit.inference.frame_arrays import BodyArrays, FrameArrays, PresetArrays, SoleArrays
 from motionkit.inference.noise import Noise, NoiseState
 from motionkit.motion import leg_ik
+from motionkit.motion.ankles import ANKLES
 from motionkit.motion.rotations import quat_multiply
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, PARENTS, STANDING_HEIGHTS
 from motionkit.native import load_library
 from motionkit.rig.soles import MOST_POINTS
 
-VERSION = 15  # of frame_kernel.c
+VERSION = 16  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -55,6 +56,7 @@ _FEET_SETTINGS = (leg_ik.LOCK, leg_ik.TOE, leg_ik.HOLD)
 _FEET_NUMBERS = (
     *(f.name for settings in _FEET_SETTINGS for f in fields(settings)),
     *("bent", "thigh_share", "alike", "straightening", "backwards", "steep"),
+    *("usual_roll", "roll"),
 )
 
 
@@ -270,6 +272,7 @@ def _feet(feet: FootLock) -> _Feet:
     numbers = [value for settings in _FEET_SETTINGS for value in vars(settings).values()]
     numbers += [leg_ik.BENT, leg_ik.THIGH_SHARE, leg_ik.ALIKE]
     numbers += [leg_ik.STRAIGHTENING, leg_ik.BACKWARDS, leg_ik.STEEP]
+    numbers += [ANKLES.usual_roll, ANKLES.roll]
     state, joints = feet.arrays, leg_ik.LEG_JOINTS.tolist()
     places = [_address(state[name]) for name in _FEET_STATE]
     return _Feet(*((c_int64 * 2)(*pair) for pair in joints), *numbers, *places)

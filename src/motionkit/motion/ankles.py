@@ -90,23 +90,30 @@ def ankles_in_range(motion: Motion) -> Motion:
     """A drawn motion (T frames on the canonical joints) whose feet stay within the range of the ankle.
 
     A network that has learnt from feet that were turned over draws all angles on the way there. Up to usual_roll a
-    foot rolls as it was drawn, from there on less and less, and not at all beyond roll. Feet that are bent back are
-    interpolated as in repair_ankles.
+    foot rolls as it was drawn, from there on less and less, and not at all beyond roll. Before that, feet that are bent
+    back are interpolated as in repair_ankles.
     """
     rotations = motion.local_rotations.copy()
     for ankle, toe in FEET:
         length = normalized(motion.skeleton.offsets[toe])
         for first, end in _bent_spans(*_angles(rotations[:, ankle], length), motion.fps):
             rotations[first:end, ankle] = _bridge(rotations[:, ankle], first, end)
-        roll, _ = _angles(rotations[:, ankle], length)
-        size = np.abs(roll)
-        left = np.clip((ANKLES.roll - size) / (ANKLES.roll - ANKLES.usual_roll), 0.0, 1.0) * ANKLES.usual_roll
-        far = size > ANKLES.usual_roll
-        back = np.sign(roll) * (left - size)
-        rotations[far, ankle] = quat_multiply(rotations[far, ankle], quat_about(length, back[far]))
+        rotations[:, ankle] = rolled_back(rotations[:, ankle], length)
     if np.array_equal(rotations, motion.local_rotations):
         return motion
     return replace(motion, local_rotations=quat_continuous(rotations))
+
+
+def rolled_back(turns: Array, length: Array) -> Array:
+    """Rotations (T, 4) of feet of which those that are rolled over are rolled back about the unit vector length (3,).
+
+    It needs no other frames; roll_back of inference/foot_kernel.c does the same.
+    """
+    roll, _ = _angles(turns, length)
+    size = np.abs(roll)
+    left = np.clip((ANKLES.roll - size) / (ANKLES.roll - ANKLES.usual_roll), 0.0, 1.0) * ANKLES.usual_roll
+    turned = quat_multiply(turns, quat_about(length, np.sign(roll) * (left - size)).astype(turns.dtype))
+    return np.where((size > ANKLES.usual_roll)[:, None], turned, turns)
 
 
 def _bridge(turns: Array, first: int, end: int) -> Array:
