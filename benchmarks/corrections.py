@@ -69,6 +69,7 @@ def without(name: str) -> Callable[[Unfinished], Motion]:
         if name == "limit of acceleration":
             return replace(one, settings=replace(one.settings, most=None)).finished()
         place, function, instead = {
+            "feet in range": (finish, "ankles_in_range", lambda motion: motion),
             "out of the ground": (finish, "above_ground", lambda motion: motion),
             "foot locking": (finish, "lock_feet", lambda motion, contacts: motion),
             "hips that come down": (
@@ -96,6 +97,7 @@ WAYS: dict[str, Callable[[Unfinished], Motion]] = {
     **{
         f"without {name}": without(name)
         for name in (
+            "feet in range",
             "out of the ground",
             "root locked to feet",
             "limit of acceleration",
