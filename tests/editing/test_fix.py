@@ -10,14 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.arrays import normalized
 from motionkit.editing.fix import Fixed, Repairs, _limbs, _rig, fix_motion
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion
 from motionkit.motion.bvh import read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import expmap_to_quat, quat_multiply
+from motionkit.motion.rotations import expmap_to_quat, quat_angle, quat_multiply
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.built_in import rig_file
+from motionkit.rig.names import map_rig
+from motionkit.rig.on_rig import read_rig
+from motionkit.rig.to_rig import to_rig
 from motionkit.rig.upright import Upright
 from synthetic_motions import make_walk
 
@@ -259,3 +264,22 @@ def test_the_command(motionkit, tmp_path: Path) -> None:
     assert value["output"] == "35_30-fixed.bvh"
     assert {"name", "before", "after", "unit"} == set(value["table"][0])
     assert motionkit("fix", "none.bvh").failed_with("none.bvh: no such file")
+
+
+@pytest.mark.parametrize("name", ["@mixamo", "@unreal", "@cmu"])
+def test_a_foot_that_is_rolled_over_turns_back(name: str) -> None:
+    walk = to_rig(make_walk(120), read_rig(rig_file(name)))
+    places = map_rig(walk.skeleton).places
+    ankle, toe = places["LeftFoot"], places["LeftToeBase"]
+    turns = walk.local_rotations.astype(np.float64)
+    half_turn = np.concatenate([[0.0], normalized(walk.skeleton.offsets[toe].astype(np.float64))])
+    turns[50:, ankle] = quat_multiply(turns[50:, ankle], half_turn)
+    fixed = fix_motion(
+        replace(walk, local_rotations=turns), Repairs(trembling=False, floor=False, sliding=False)
+    )
+    assert [row.after for row in fixed.table if row.name == "glitches"] == [0]
+    assert {frame for frame, joint in fixed.glitches if joint == walk.skeleton.names[ankle]} >= set(
+        range(50, 120)
+    )
+    away = quat_angle(fixed.motion.local_rotations[:, ankle], walk.local_rotations[:, ankle])
+    assert np.degrees(away).max() < 1.0
