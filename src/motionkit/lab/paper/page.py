@@ -15,6 +15,7 @@ from motionkit.lab.paper.bodies import BODIES_HEADER, bodies_row, slopes
 from motionkit.lab.paper.claims import claims_table, counts
 from motionkit.lab.paper.findings import by_budget, findings
 from motionkit.lab.paper.long_rollouts import APART, LONG_HEADER, long_row, sheet_name
+from motionkit.lab.paper.rollout_sheets import KINDS, sheet_file
 from motionkit.lab.paper.scenes import picture_name
 from motionkit.lab.paper.tables import (
     Results,
@@ -68,10 +69,14 @@ derivatives that by the features fed in is small even for the best linear predic
 that by the trajectory nears 1 as a network learns, and begins there where the head adds what it is given.
 """
 
-NOT_DRAWN = """Figures 10 to 12 are not drawn: feet that slide (10) are AFS in the tables, motions beside recordings
-(11) are the page of `motionkit experiment study`, and the path by PFNN (12) needs PFNN's data, which is not free. The
-control input that fails in section 5.5, a twist by EBTN, is a row of the tables by type in
-[experiments-tables.md](experiments-tables.md).
+ROLLOUTS = """## The paper's figures 10 and 11
+
+Mean roll-outs of the first seed, without foot locking: a held-out jump backwards, whose left foot is figure 10, and a
+held-out twist. `motionkit experiment figures --data datasets/paper` draws them where roll-outs were kept.
+"""
+
+NOT_DRAWN = """Figure 12, the path by PFNN, needs PFNN's data, which is not free. The control input that fails in
+section 5.5, a twist by EBTN, is a row of the tables by type in [experiments-tables.md](experiments-tables.md).
 """
 
 SCENES = """## The paper's figures 1 and 5 to 9
@@ -101,7 +106,9 @@ def scenes_section(scenes: Sequence[dict[str, Any]], folder: Path) -> list[str]:
         file = picture_name(scene["figure"], scene["name"])
         if (folder / file).exists():
             parts.append(f"![Figure {scene['figure']}: {scene['text']}]({file})\n")
-    return [*parts, NOT_DRAWN]
+    sheets = [(number, sheet_file(number)) for number in KINDS if (folder / sheet_file(number)).exists()]
+    pictures = [f"![Figure {number}: {KINDS[number]}]({file})\n" for number, file in sheets]
+    return [*parts, *([ROLLOUTS, *pictures] if pictures else []), NOT_DRAWN]
 
 
 def scene_cell(scene: dict[str, Any]) -> str:
