@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import (
-    EXISTING_FILE,
+    EXISTING,
     clip_options,
     fps_option,
     gathered,
@@ -21,11 +22,12 @@ from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import OutputOptions, animation_options, display_name, output_option, view_option
 from motionkit.cli.rig_options import RigChoice, clip_option, open_rig, rig_option
 from motionkit.cli.times import Moment, TimePair
+from motionkit.errors import MotionkitError
 from motionkit.names import counted
 
 
 @click.command("join")
-@click.argument("clips", nargs=-1, required=True, type=EXISTING_FILE)
+@click.argument("places", metavar="CLIPS...", nargs=-1, required=True, type=EXISTING)
 @output_option("File to write, FIRST-joined.bvh by default")
 @click.option(
     "--window",
@@ -63,7 +65,7 @@ from motionkit.names import counted
 @json_option
 @gathered("output_options", OutputOptions)
 def command(
-    clips: tuple[Path, ...],
+    places: tuple[Path, ...],
     window: float | None,
     at: tuple[tuple[Moment, Moment], ...],
     blend: float,
@@ -72,7 +74,7 @@ def command(
     choice: RigChoice,
     output_options: OutputOptions,
 ) -> None:
-    """Join CLIPS, two or more, into one motion on the rig of the first.
+    """Join CLIPS, two or more, into one motion on the rig of the first. A folder stands for its clips by name.
 
     Each clip continues at the place and heading of the one before it, from where their poses are most similar.
     The difference there decays while feet on the floor are held; other frames stay as they are. Clips of other
@@ -84,7 +86,9 @@ def command(
     from motionkit.view.figure_data import MotionView
 
     output_options.check()
-    outputs = output_options.files(f"{clips[0].stem}-joined", [*clips, *choice.files])
+    clips = [clip for place in places for clip in _clips(place)]
+    first = places[0].resolve().name if places[0].is_dir() else places[0].stem
+    outputs = output_options.files(f"{first}-joined", [*clips, *choice.files])
     chosen = list(zip(clips, _named(clips, animations), strict=True))
     sources = [read_clip(clip, name) for clip, name in chosen]
     rates = [source.motion.fps for source in sources]
@@ -122,7 +126,19 @@ def command(
     outputs.report(facts | {"seams": seams}, lines, *read)
 
 
-def _named(clips: tuple[Path, ...], animations: tuple[str, ...]) -> list[str | None]:
+def _clips(place: Path) -> list[Path]:
+    """A clip, or those below a folder in the order of their names; raises MotionkitError if it has none."""
+    from motionkit.rig.read_file import endings_text, motion_files
+
+    if not place.is_dir():
+        return [place]
+    found = motion_files(place)
+    if not found:
+        raise MotionkitError(f"{place}: no {endings_text()} files found")
+    return found
+
+
+def _named(clips: Sequence[Path], animations: tuple[str, ...]) -> list[str | None]:
     """The animation to read from each clip: those given, in the order of the files that can have several."""
     from motionkit.rig.read_file import is_gltf
 
