@@ -27,7 +27,7 @@ from motionkit.names import counted
 
 
 @click.command("join")
-@click.argument("places", metavar="CLIPS...", nargs=-1, required=True, type=EXISTING)
+@click.argument("clips", nargs=-1, required=True, type=EXISTING)
 @output_option("File to write, FIRST-joined.bvh by default")
 @click.option(
     "--window",
@@ -65,7 +65,7 @@ from motionkit.names import counted
 @json_option
 @gathered("output_options", OutputOptions)
 def command(
-    places: tuple[Path, ...],
+    clips: tuple[Path, ...],
     window: float | None,
     at: tuple[tuple[Moment, Moment], ...],
     blend: float,
@@ -86,10 +86,10 @@ def command(
     from motionkit.view.figure_data import MotionView
 
     output_options.check()
-    clips = [clip for place in places for clip in _clips(place)]
-    first = places[0].resolve().name if places[0].is_dir() else places[0].stem
-    outputs = output_options.files(f"{first}-joined", [*clips, *choice.files])
-    chosen = list(zip(clips, _named(clips, animations), strict=True))
+    files = [clip for place in clips for clip in _clips(place)]
+    first = clips[0].resolve().name if clips[0].is_dir() else clips[0].stem
+    outputs = output_options.files(f"{first}-joined", [*files, *choice.files])
+    chosen = list(zip(files, _named(files, animations), strict=True))
     sources = [read_clip(clip, name) for clip, name in chosen]
     rates = [source.motion.fps for source in sources]
     times = [
@@ -98,7 +98,7 @@ def command(
     ]
     if len(at) > len(times):
         raise click.UsageError(
-            f"--at is given {counted(len(at), 'time')}, but {len(clips)} clips have {counted(len(times), 'join')}"
+            f"--at is given {counted(len(at), 'time')}, but {len(files)} clips have {counted(len(times), 'join')}"
         )
     names = [f"{clip} {name or ''}".strip() for clip, name in chosen]
     joined = join_motions(
@@ -122,7 +122,7 @@ def command(
     lines += [f"  {seam.sentence(*two)}" for seam, two in zip(joined.seams, pairwise(short), strict=True)]
     facts = {"output": outputs.file, "frames": len(made), "fps": made.fps}
     seams = [seam.as_dict() for seam in joined.seams]
-    read = [(clip, source.in_file()) for clip, source in zip(clips, sources, strict=True)]
+    read = [(clip, source.in_file()) for clip, source in zip(files, sources, strict=True)]
     outputs.report(facts | {"seams": seams}, lines, *read)
 
 
