@@ -75,6 +75,8 @@ def test_a_folder_is_done_but_for_what_fails(motionkit, walk: Motion, tmp_path: 
         ("--list-types", "synthesize --list-types"),
         ("types", "synthesize --list-types"),
         ("--types", "synthesize --types"),
+        ("resample", "trim --fps"),
+        ("speed", "trim --speed"),
         ("walk.bvh", "view walk.bvh"),
     ],
 )
@@ -88,6 +90,8 @@ def test_mistyped_commands_are_suggested(motionkit, walk: Motion, typed: str, me
         (("synthesize", "running,cartwheel"), "did you mean --types running,cartwheel?"),
         (("retarget", "walk.bvh", "walk.bvh"), "did you mean --rig walk.bvh?"),
         (("fix", "walk.bvh", "out.bvh"), "did you mean -o out.bvh?"),
+        (("convert", "walk.bvh", "-o", "out.glb"), "'-o'; give the file to write as TARGET, after SOURCE"),
+        (("convert", "walk.bvh", "--output", "out.glb"), "'--output'; give the file to write as TARGET"),
         (("follow-path", "walk.bvh"), "is a motion, expected a path"),
         (("follow-path", "walk.bvh", "--types", "walking"), "is a motion, expected a path"),
         (("follow-path", "none.bvh", "--types", "walking"), "none.bvh: no such file"),

@@ -200,7 +200,7 @@ def one_part(**changes: object) -> str:
         (one_part(stop=-1), "part 1: expected a stop between 0 and 600"),
         (one_part(speed=-1), "part 1: expected a speed between"),
         (one_part(points=[[0, 0], [0, 0.001]]), "part 1 of the path (walking) is 0.1 cm long"),
-        (one_part(points=[[0, 0], [0, 1e6]]), "longer than"),
+        (one_part(points=[[0, 0], [0, 1e6]]), "1,000,000 m long, expected at most 10,000 m"),
         (json.dumps(GOOD["parts"] + [{"type": "idle", "points": [[1, 5]]}]), "part 3 of the path (idle)"),
     ],
 )
@@ -215,8 +215,15 @@ def test_broken_json_names_the_part(tmp_path: Path, text: str, complaint: str) -
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", ":1: path table lacks the columns x, z, type"),
-        ("x,y,type\n0,0,walking\n", ":1: path table lacks the columns z"),
+        ("", ":1: expected a first line that names the columns x, z and type, found nothing"),
+        ("x,y,type\n0,0,walking\n", "x, z and type, found 'x,y,type'; it lacks z"),
+        ("0,0,walking\n0,1,walking\n", "found '0,0,walking'; it lacks x, z, type"),
+        ("x,z,type\n0,0,walking\n0,1,5,walking\n", ":3: has more values than columns; put semicolons"),
+        ("x,z,type\n0,0,walking\n", "part 1 of the path (walking) has one point, expected at least 4 cm"),
+        (
+            "x,z,type\n0,0,walking\n0,70000,walking\n",
+            "70,000 m long, expected at most 10,000 m; paths are in",
+        ),
         ("x,z,type\n0,0,walking\n0,one,walking\n", ":3: expected numbers for x, z, speed and stop"),
         ("x,z,type\n0,0,walking\n0\n", ":3: expected numbers for x, z, speed and stop"),
         ("x,z,type,speed\n0,0,walking,quick\n", ":2: expected numbers for x, z, speed and stop"),
@@ -260,7 +267,18 @@ def test_deeply_nested_json_is_told_in_a_line(tmp_path: Path) -> None:
         read_path(write(tmp_path, "[" * 100_000))
 
 
-def test_tables_with_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("x;z;type\n0,0;0;walking\n0,5;1,5;walking\n")
-    (tmp_path / "b.csv").write_text("x,z,type\n0.0,0,walking\n0.5,1.5,walking\n")
-    assert np.array_equal(read_path(tmp_path / "a.csv").points, read_path(tmp_path / "b.csv").points)
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.csv", "x;z;type\n0,0;0;walking\n0,5;1,5;walking\n"),
+        ("a.csv", "x\tz\ttype\n0\t0\twalking\n0,5\t1,5\twalking\n"),
+        ("a.tsv", "x\tz\ttype\n0\t0\twalking\n0.5\t1.5\twalking\n"),
+        ("a.txt", "x,z,type\n0,0,walking\n0.5,1.5,walking\n"),
+        ("a.csv", "\ufeffX, Z, Type \r\n0, 0, walking\r\n0.5, 1.5, walking\r\n"),
+        ("a.path", '[{"type": "walking", "points": [[0, 0], [0.5, 1.5]]}]'),
+    ],
+)
+def test_tables_of_every_spreadsheet_are_read(tmp_path: Path, name: str, text: str) -> None:
+    """Semicolons, tabs, decimal commas, capitals, spaces, and other endings."""
+    plain = read_path(write(tmp_path, "x,z,type\n0.0,0,walking\n0.5,1.5,walking\n", "plain.csv"))
+    assert np.array_equal(read_path(write(tmp_path, text, name)).points, plain.points)

@@ -26,16 +26,18 @@ def splice(
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "pause"),
+    ("first", "second", "pause", "faster", "harder"),
     [
-        ("walk_02", "wheel_01", 0),
-        ("idle_01", "run_01", 0),
-        ("hop_left", "hop_left", 0),
-        ("wheel_01", "wheel_01", PAUSE),
+        ("walk_02", "wheel_01", 0, 1.001, 1.95),
+        ("idle_01", "run_01", 0, 1.07, 3.1),
+        ("hop_left", "hop_left", 0, 1.001, 1.18),
+        ("wheel_01", "wheel_01", PAUSE, 1.001, 1.67),
     ],
 )
-def test_the_joined_motion_is_smooth(dataset: Dataset, first: str, second: str, pause: int) -> None:
-    """At the join, joints have no higher speed or acceleration than in the two clips."""
+def test_the_joined_motion_is_smooth(
+    dataset: Dataset, first: str, second: str, pause: int, faster: float, harder: float
+) -> None:
+    """Joints are at most so many times as fast, and accelerate so many times as hard, as in the two clips."""
     data = splice(dataset, first, second, pause=pause)
     motion = decode_motion(
         data.features, dataset.skeleton(dataset.clips[0]), 60.0, data.ground[0], dataset.reference_rotations
@@ -52,10 +54,10 @@ def test_the_joined_motion_is_smooth(dataset: Dataset, first: str, second: str, 
                 )
             )[1]
         )
-    for order, slack in ((1, 1.6), (2, 3.0)):
+    for order, most in ((1, faster), (2, harder)):
         made = np.linalg.norm(np.diff(positions, n=order, axis=0), axis=-1).max()
         real = max(float(np.linalg.norm(np.diff(p, n=order, axis=0), axis=-1).max()) for p in honest)
-        assert float(made) < slack * real + 0.3
+        assert float(made) < most * real
 
 
 def test_types_change_at_the_join(dataset: Dataset) -> None:
@@ -67,7 +69,7 @@ def test_types_change_at_the_join(dataset: Dataset) -> None:
 
 
 def test_a_pause_shows_what_players_ask_for(dataset: Dataset) -> None:
-    """Between two performances: reference poses as the player leads them, no phase, and the speed grows evenly."""
+    """Between two performances: reference poses as the player leads them, no phase, and no way of its own."""
     data = splice(dataset, "wheel_01", "wheel_01", pause=PAUSE)
     clip = clip_of(dataset, "wheel_01")
     whole = dataset.read(clip)
@@ -79,20 +81,26 @@ def test_a_pause_shows_what_players_ask_for(dataset: Dataset) -> None:
     assert ended
     begin = TAIL + 1
     paused = slice(begin, begin + PAUSE)
-    assert np.allclose(data.reference[paused], asked, atol=1e-4)
+    assert np.allclose(data.reference[paused], asked, atol=3e-6)
     assert (data.phases[paused] == -1.0).all()
     assert np.array_equal(data.phases[paused.stop : paused.stop + 20], whole.phases[:20])
     assert data.phases[begin - 1] == whole.phases[-1]
-    steps = np.linalg.norm(np.diff(data.ground[paused, :2], axis=0), axis=-1)
-    own = np.linalg.norm(np.diff(whole.ground[:, :2], axis=0), axis=-1)
-    assert np.all(steps <= own.max() + 0.05)
+    assert np.array_equal(data.ground[paused, :2], np.repeat(whole.ground[-1:, :2], PAUSE, axis=0))
+
+
+def test_after_a_pause_the_body_speeds_up_evenly(dataset: Dataset) -> None:
+    """From a stand to the 5 cm a frame of the run, by as much at every frame."""
+    data = splice(dataset, "idle_01", "run_01", pause=PAUSE)
+    steps = np.linalg.norm(np.diff(data.ground[TAIL + 1 : TAIL + PAUSE + 2, :2], axis=0), axis=-1)
+    assert np.allclose(np.diff(steps)[:-1], 5.0 / PAUSE, atol=0.005)
+    assert steps[0] == pytest.approx(0.5, abs=0.01) and steps[-1] == pytest.approx(5.0, abs=0.06)
 
 
 def test_lengths_agree_and_are_bounded(dataset: Dataset) -> None:
     data = splice(dataset, "walk_02", "wheel_01")
     frames = len(data.types)
     assert all(len(v) == frames for v in (data.features, data.contacts, data.ground))
-    assert frames <= TAIL + HEAD + 1
+    assert frames == TAIL + HEAD
 
 
 def test_a_mirrored_clip_can_follow(dataset: Dataset) -> None:
@@ -106,13 +114,13 @@ def test_the_same_seed_makes_the_same_splice(dataset: Dataset) -> None:
     assert np.array_equal(a.features, b.features) and np.array_equal(a.ground, b.ground)
 
 
-@pytest.mark.parametrize("frames", [12, 16, 24])
-def test_short_stretches_can_be_joined(dataset: Dataset, frames: int) -> None:
+@pytest.mark.parametrize(("frames", "joined"), [(12, 21), (16, 19), (24, 32)])
+def test_short_stretches_can_be_joined(dataset: Dataset, frames: int, joined: int) -> None:
     a, b = clip_of(dataset, "walk_02"), clip_of(dataset, "idle_01")
     pick = np.random.default_rng(0).integers
     data = splice_clips(dataset, (a, 50, 50 + frames), (b, 10, 10 + frames), 20, pick)
     assert np.isfinite(data.features).all()
-    assert 2 < len(data.types) <= 2 * frames
+    assert len(data.types) == joined
 
 
 def test_feet_do_not_slide_into_their_new_places(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,4 +144,4 @@ def test_feet_do_not_slide_into_their_new_places(dataset: Dataset, monkeypatch: 
 
     planted = slid()
     monkeypatch.setattr("motionkit.data.splice.lock_feet", lambda motion, contacts: motion)
-    assert planted < 0.4 * slid()
+    assert planted < 0.35 * slid()

@@ -145,3 +145,14 @@ def test_the_command_says_where_it_joined(motionkit, tmp_path: Path) -> None:
     # Of a character two animations are joined, and a third is added to it.
     said = motionkit("join", "out.glb", "out.glb", "--clip", "a-joined", "-o", "two.glb")
     assert said.code == 0 and read_motion(tmp_path / "two.glb").seconds > 3
+
+
+def test_a_folder_stands_for_its_clips_in_the_order_of_their_names(motionkit, tmp_path: Path) -> None:
+    (tmp_path / "clips").mkdir()
+    (tmp_path / "none").mkdir()
+    for name in ("b", "clips/2", "clips/1"):
+        write_motion(tmp_path / f"{name}.bvh", make_walk(120))
+    said = motionkit("join", "clips", "b.bvh")
+    assert said.code == 0 and "wrote clips-joined.bvh" in said.out
+    assert said.out.index("1.bvh to") < said.out.index("2.bvh to") < said.out.index("b.bvh from")
+    assert motionkit("join", "none", "b.bvh").failed_with("none: no .bvh")

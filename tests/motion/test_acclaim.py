@@ -85,7 +85,10 @@ def test_the_skeleton_beside_it(tmp_path: Path, skeletons: tuple[str, ...], take
     for name in skeletons:
         (tmp_path / name).write_text(text if name == taken else ":nothing")
     if taken.lower().endswith(".asf") and " " not in taken:
-        assert len(read(made)[0]) == 3
+        motion, told = read(made)
+        assert len(motion) == 3
+        alone = "the skeleton other.asf, the only one beside it"
+        assert (alone in told[0]) == (taken == "other.asf"), told
     else:
         with pytest.raises(BvhError, match=taken):
             read(made)
@@ -105,9 +108,9 @@ def test_the_skeleton_beside_it(tmp_path: Path, skeletons: tuple[str, ...], take
         ("07.asf", "root link1", "lfemur link1", 0, "bones hang from nothing"),
         ("07.asf", ":bonedata", ":bones", 0, "has a bone 'link1' that :bonedata lacks"),
         ("07.asf", ":hierarchy", ":tree", 0, "found no bones"),
-        ("07_01.amc", "\n1\n", "\none\n", 4, "the skeleton has no bone 'one'"),
+        ("07_01.amc", "\n1\n", "\none\n", 4, "the skeleton 07.asf has no bone 'one'"),
         ("07_01.amc", "\n1\n", "\n", 4, "expected the number of a frame, found 'root'"),
-        ("07_01.amc", "lfemur", "lfemur 1", 6, "expected 3 values for lfemur, found 4"),
+        ("07_01.amc", "lfemur", "lfemur 1", 6, "expected 3 values for lfemur, as 07.asf says, found 4"),
         ("07_01.amc", "lfemur", "root", 6, "root is given twice in a frame, first on line 5"),
         ("07_01.amc", "lfemur ", "lfemur 1e9 2 3 # ", 6, "expected finite numbers up to 10,000,000"),
         ("07_01.amc", "lfemur ", "lfemur x", 6, "expected numbers for lfemur"),

@@ -50,10 +50,11 @@ def test_a_rig_is_a_person_of_175_cm(rig: Rig) -> None:
     places = motion_kinematics(bvh_to_motion(read_bvh(rig_file(f"@{Path(rig.name).stem}"))))[1][0]
     for name, joint in rig.joints.places.items():
         mirrored = rig.place(name.replace("Left", "x").replace("Right", "Left").replace("x", "Right"))
-        assert np.allclose(places[joint], places[mirrored] * [-1, 1, 1], atol=1e-3), name
+        assert np.allclose(places[joint], places[mirrored] * [-1, 1, 1], atol=3e-5), name
     head, toe = rig.place("Head"), rig.place("LeftToeBase")
     assert head is not None and toe is not None
-    assert 145 < places[head, 1] < 160 and 0 < places[toe, 1] < 4 and 80 < rig.leg < 90
+    assert 154 < places[head, 1] < 160 and 2.5 < places[toe, 1] < 2.8
+    assert rig.leg == pytest.approx(84.585, abs=0.001)
 
 
 @MAKERS
@@ -63,7 +64,7 @@ def test_limbs_keep_their_directions(rig: Rig, make: Callable[[], Motion]) -> No
     for upper, lower in BONES:
         one = here[:, JOINT_NAMES.index(lower)] - here[:, JOINT_NAMES.index(upper)]
         other = there[:, rig.place(lower)] - there[:, rig.place(upper)]
-        assert np.abs(normalized(one) - normalized(other)).max() < 1e-4, upper
+        assert np.abs(normalized(one) - normalized(other)).max() < 4e-6, upper
 
 
 @MAKERS
@@ -73,8 +74,8 @@ def test_back_from_a_file(rig: Rig, make: Callable[[], Motion], tmp_path: Path) 
     back = retarget(read_bvh(tmp_path / "out.bvh"), rig=rig)[0]
     index = [JOINT_NAMES.index(name) for name in rig.joints.places]
     one, other = (motion_kinematics(motion)[0][:, index] for motion in (source, back))
-    assert np.rad2deg(quat_angle(one, other)).max() < 0.01
-    assert np.abs(back.root_positions - source.root_positions).max() < 0.01
+    assert np.rad2deg(quat_angle(one, other)).max() < 2e-4
+    assert np.abs(back.root_positions - source.root_positions).max() < 2e-4
 
 
 @MAKERS
@@ -82,7 +83,7 @@ def test_feet_are_on_the_floor(rig: Rig, make: Callable[[], Motion]) -> None:
     places = motion_kinematics(on_rig(make(), rig))[1]
     lower = places[:, [rig.place(f"{side}ToeBase") for side in SIDES], 1].min(axis=1)
     assert rig.stance is not None
-    assert abs(np.quantile(lower, 0.25) - rig.stance / rig.scale) < TOE.slack and lower.min() > 1.5
+    assert abs(np.quantile(lower, 0.25) - rig.stance / rig.scale) < TOE.slack and lower.min() > 2.3
 
 
 @pytest.mark.parametrize("ending", [ending for ending in WRITERS if ending not in (".vrm", ".fbx")])
@@ -91,13 +92,13 @@ def test_every_format(rig: Rig, ending: str, tmp_path: Path) -> None:
     made = on_rig(make_walk(10), rig)
     path = tmp_path / f"out{ending}"
     mk.write(path, rig_clip(made, rig, "walk"))
-    assert path.stat().st_size > 500
+    assert path.stat().st_size > 9000
     if ending in (".bvh", ".glb"):
         again = read_motion(path)
         assert set(again.skeleton.names) >= set(made.skeleton.names)
         index = [again.skeleton.index(name) for name in made.skeleton.names]
         there = motion_kinematics(again)[1][:, index]
-        assert np.abs(there - motion_kinematics(made)[1]).max() < 0.01
+        assert np.abs(there - motion_kinematics(made)[1]).max() < 1e-4
 
 
 def test_lafan1_has_the_axes_that_retargeters_expect() -> None:
@@ -109,7 +110,7 @@ def test_lafan1_has_the_axes_that_retargeters_expect() -> None:
     wanted |= {"LeftToe": (ahead, up), "LeftForeArm": (-right, -ahead), "RightForeArm": (right, -ahead)}
     for name, (x, y) in wanted.items():
         turn = axes[bvh.skeleton.index(name)]
-        assert turn[:, 0] @ x > 0.98 and turn[:, 1] @ y > 0.98, name
+        assert turn[:, 0] @ x > 0.994 and turn[:, 1] @ y > 0.999, name
     assert bvh.fps == pytest.approx(30.0)
 
 
@@ -120,14 +121,14 @@ def test_a_rest_frame_stands_where_the_motion_begins(rig: Rig, known: bool) -> N
     assert len(made) == 61
     _, places = motion_kinematics(made)
     hips, toes = rig.place("Hips"), [rig.place(f"{side}ToeBase") for side in SIDES]
-    assert np.abs(places[0, hips] - places[1, hips])[[0, 2]].max() < 0.1
+    assert np.abs(places[0, hips] - places[1, hips])[[0, 2]].max() < 1e-5
     assert rig.stance is not None
-    assert np.allclose(places[0, toes, 1], rig.stance / rig.scale, atol=TOE.slack)
+    assert np.allclose(places[0, toes, 1], rig.stance / rig.scale, atol=0.2)
     if not Path(rig.name).stem == "lafan1":
         assert np.abs(made.local_rotations[0, :, 1:]).max() == 0.0
     elif known:
         arms = places[0, rig.place("LeftHand")] - places[0, rig.place("LeftArm")]
-        assert normalized(arms)[0] > 0.99
+        assert normalized(arms)[0] > 0.99999
     again = with_rest_frame(on_rig(make_walk(60, speed=20.0, swing=0.1, phase=1.0), rig), rig)
     assert np.array_equal(again.local_rotations[1:], made.local_rotations[1:])
 
@@ -137,15 +138,15 @@ def test_another_rest_pose_keeps_the_motion(rig: Rig, name: str, low: float) -> 
     """Every joint stays where it was; the pose without rotations has arms so many degrees down and vertical legs."""
     made = on_rig(make_walk(60, phase=1.0), rig)
     with_final_rest = with_rest_pose(with_rest_frame(made, rig, name), name, rig)
-    assert np.abs(motion_kinematics(with_final_rest)[1][1:] - motion_kinematics(made)[1]).max() < 1e-3
-    assert np.abs(with_final_rest.local_rotations[0, :, 1:]).max() < 1e-3
+    assert np.abs(motion_kinematics(with_final_rest)[1][1:] - motion_kinematics(made)[1]).max() < 2e-4
+    assert np.abs(with_final_rest.local_rotations[0, :, 1:]).max() < 1e-6
     places = quat_rotate(up_turn(rig.up), with_final_rest.skeleton.rest_positions())
     arm, leg = math.radians(low), {"UpLeg": "Leg", "Leg": "Foot"}
     for side, left in (("Left", 1.0), ("Right", -1.0)):
         ways = dict.fromkeys(leg, (0.0, -1.0, 0.0)) | {"Arm": (left * math.cos(arm), -math.sin(arm), 0.0)}
         for part, way in ways.items():
             bone = places[rig.place(side + leg.get(part, "ForeArm"))] - places[rig.place(side + part)]
-            assert normalized(bone) @ np.array(way) > 0.9999, part
+            assert normalized(bone) @ np.array(way) > 0.99999, part
 
 
 def test_an_unknown_rig_has_a_hint() -> None:

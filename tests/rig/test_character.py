@@ -168,27 +168,33 @@ def test_the_users_file_with_an_animation(
     found, names = worlds(tmp_path / "out.glb"), rig.skeleton.names
     places = motion_kinematics(made)[1]
     for joint, name in enumerate(names):
-        assert np.abs(found[name][:, :3, 3] - places[:, joint]).max() < 1e-5, name
+        assert np.abs(found[name][:, :3, 3] - places[:, joint]).max() < 3e-6, name
+
+
+def ground_speed(places: Array) -> Array:
+    """The way over the ground of (T, 3) from frame to frame."""
+    return np.linalg.norm(np.diff(places[:, [0, 2]], axis=0), axis=-1)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_characters_own_feet_stand(tmp_path: Path, walk: Motion, seed: int) -> None:
-    """Toes that stand in the motion are at their height in the file, 3 cm, within 1 cm, and do not slide."""
+    """Toes that stand in the motion are at their height in the file, 3 cm, within 0.5 cm, and do not slide."""
     write(tmp_path / "hero.glb", character(seed=seed))
     rig = read_rig(tmp_path / "hero.glb")
     write_motion(tmp_path / "out.glb", rig_clip(on_rig(walk, rig), rig, "out"))
-    found = worlds(tmp_path / "out.glb")
+    found, there = worlds(tmp_path / "out.glb"), motion_kinematics(walk)[1]
     for side in ("Left", "Right"):
         toe = found[f"{side}ToeBase"][:, :3, 3]
         low = toe[:, 1] < toe[:, 1].min() + 0.005
-        assert 0.02 < toe[low, 1].min() and toe[low, 1].max() < 0.04 and low.sum() > 5
+        assert 0.0295 < toe[low, 1].min() and toe[low, 1].max() < 0.0345 and low.sum() > 6
+        planted = low[1:] & low[:-1] & (ground_speed(there[:, JOINT_NAMES.index(f"{side}ToeBase")]) < 0.55)
+        assert planted.sum() > 2 and ground_speed(toe)[planted].max() < 1e-5
     # The turn of every bone from its rest is that of the canonical joint: a limb points where the walk has it.
     shin = found["LeftFoot"][:, :3, 3] - found["LeftLeg"][:, :3, 3]
-    wanted = motion_kinematics(walk)[1]
     names = [JOINT_NAMES.index(name) for name in ("LeftFoot", "LeftLeg")]
-    wanted = wanted[:, names[0]] - wanted[:, names[1]]
+    wanted = there[:, names[0]] - there[:, names[1]]
     cosine = (shin * wanted).sum(-1) / np.linalg.norm(shin, axis=-1) / np.linalg.norm(wanted, axis=-1)
-    assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).mean() < 5.0
+    assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).mean() < 1.6
 
 
 def test_read_back_and_write_again(tmp_path: Path, walk: Motion) -> None:
@@ -199,14 +205,14 @@ def test_read_back_and_write_again(tmp_path: Path, walk: Motion) -> None:
     write_motion(tmp_path / "a.glb", rig_clip(made, rig, "first"))
     clip = read_clip(tmp_path / "a.glb")
     assert clip.name == "first" and clip.motion.fps == 60.0
-    assert float(quat_angle(clip.motion.local_rotations, made.local_rotations).max()) < 1e-3
-    assert np.abs(clip.motion.root_positions - made.root_positions * 100.0).max() < 1e-2
-    assert np.abs(clip.in_file().root_positions - made.root_positions).max() < 1e-4
+    assert float(quat_angle(clip.motion.local_rotations, made.local_rotations).max()) < 1e-6
+    assert np.abs(clip.motion.root_positions - made.root_positions * 100.0).max() < 1e-4
+    assert np.abs(clip.in_file().root_positions - made.root_positions).max() < 1e-6
     write_motion(tmp_path / "b.glb", clip.with_motion(clip.motion.cut(10, 40)))
     assert [one["name"] for one in parts(tmp_path / "b.glb")[1]["animations"]] == ["first", "first_2"]
     first, second = worlds(tmp_path / "b.glb", 0), worlds(tmp_path / "b.glb", 1)
     assert all(
-        np.abs(second[name] - first[name][10:40]).max() < 1e-3 for name in first if len(first[name]) > 1
+        np.abs(second[name] - first[name][10:40]).max() < 1e-6 for name in first if len(first[name]) > 1
     )
     write_motion(tmp_path / "c.glb", replace(clip, name="only", alone=True))
     assert [one["name"] for one in parts(tmp_path / "c.glb")[1]["animations"]] == ["only"]
@@ -240,12 +246,12 @@ def test_a_root_bone_that_is_there_takes_the_way(tmp_path: Path, walk: Motion) -
     for name, change in (("plain", lambda m: m), ("root", with_ground_root), ("still", in_place)):
         write_motion(tmp_path / f"{name}.glb", rig_clip(change(made), rig, name))
     plain, root, still = (worlds(tmp_path / f"{name}.glb") for name in ("plain", "root", "still"))
-    assert np.abs(root["LeftHand"] - plain["LeftHand"]).max() < 1e-4
+    assert np.abs(root["LeftHand"] - plain["LeftHand"]).max() < 1e-6
     way = root["rig|Root_"][:, :3, 3]
     assert np.ptp(plain["rig|Root_"][:, :3, 3], axis=0).max() == 0.0
-    assert np.abs(way - plain["Hips"][:, :3, 3])[:, [0, 2]].max() < 0.15 and np.ptp(way[:, 1]) < 1e-6
+    assert np.abs(way - plain["Hips"][:, :3, 3])[:, [0, 2]].max() < 0.11 and np.ptp(way[:, 1]) < 1e-6
     assert np.ptp(still["rig|Root_"][:, :3, 3], axis=0).max() < 1e-6
-    assert np.ptp(still["Hips"][:, [0, 2], 3], axis=0).max() < 0.1 < 0.3 < np.ptp(way[:, 2])
+    assert np.ptp(still["Hips"][:, [0, 2], 3], axis=0).max() < 0.044 < 1.6 < np.ptp(way[:, 2])
     write(tmp_path / "bare.glb", character())
     bare = read_rig(tmp_path / "bare.glb")
     with pytest.raises(MotionkitError, match=r"other joints than .*bare\.glb"):
@@ -266,8 +272,9 @@ def test_skin_of_the_root_bone_goes_along(tmp_path: Path, walk: Motion, bound: b
     made = on_rig(walk, rig)
     write_motion(tmp_path / "out.glb", rig_clip(made, rig, "out"))
     found, hips = worlds(tmp_path / "out.glb"), rig.skeleton.names.index("Hips")
-    assert np.abs(found["Hips"][:, :3, 3] - motion_kinematics(made)[1][:, hips]).max() < 1e-5
-    assert (np.ptp(found["Root"][:, 2, 3]) > 0.3) == bound
+    assert np.abs(found["Hips"][:, :3, 3] - motion_kinematics(made)[1][:, hips]).max() < 1e-6
+    way = np.ptp(found["Root"][:, 2, 3])
+    assert way > 1.7 if bound else way == 0.0
 
 
 @pytest.mark.parametrize("where", ["beside", "along"])
@@ -293,14 +300,14 @@ def test_twist_is_spread(tmp_path: Path, walk: Motion, where: str) -> None:
     upper, twisted = (turns[:, names.index(n)] for n in ("LeftArm", "LeftArmTwist"))
     base, shares = turns[:, names.index("LeftShoulder")], (1.0, 0.5) if where == "beside" else (0.0, 1.0)
     for found, share in zip((upper, twisted), shares, strict=True):
-        assert np.abs(quat_angle(base, found) - share * angle).max() < 0.02
+        assert np.abs(quat_angle(base, found) - share * angle).max() < 3e-6
     write(tmp_path / "plain.glb", character())
     bare = on_rig(replace(walk, local_rotations=rotations), read_rig(tmp_path / "plain.glb"), ik=False)
     for name in ("LeftForeArm", "LeftHand"):
         found = motion_kinematics(bare)
         joint, own = bare.skeleton.names.index(name), names.index(name)
-        assert float(quat_angle(turns[:, own], found[0][:, joint]).max()) < 1e-3
-        assert np.abs(places[:, own] - found[1][:, joint]).max() < 1e-4
+        assert float(quat_angle(turns[:, own], found[0][:, joint]).max()) < 1e-6
+        assert np.abs(places[:, own] - found[1][:, joint]).max() < 1e-6
 
 
 @pytest.mark.parametrize("version", ["0.x", "1.0"])

@@ -12,6 +12,7 @@ from motionkit.cli.folders import folders
 from motionkit.cli.outputs import OutputOptions, animation_options, body_option
 from motionkit.cli.rig_options import RootMotion, root_options
 from motionkit.errors import naming
+from motionkit.names import counted
 
 
 @click.command("convert")
@@ -62,7 +63,7 @@ def command(
             "fps": motion.fps,
             "joints": joints,
         }
-        wrote = f"wrote {file}: {joints} joints, {frames} frames at {motion.fps:g} fps"
+        wrote = f"wrote {file}: {counted(joints, 'joint')}, {counted(frames, 'frame')} at {motion.fps:g} fps"
         outputs.report(facts, [wrote], (source, clip.in_file()))
 
 

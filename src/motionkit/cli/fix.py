@@ -21,6 +21,7 @@ from motionkit.cli.finite import FiniteRange
 from motionkit.cli.folders import folders
 from motionkit.cli.outputs import OutputOptions, animation_options, clip_output_option, display_name
 from motionkit.errors import MotionkitError, naming
+from motionkit.names import counted
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -76,7 +77,7 @@ def command(clip: Path, output_options: OutputOptions, **repairs: Any) -> None:
     )
     rows = [asdict(row) for row in fixed.table]
     facts = {"output": outputs.file, "table": rows, "glitches": fixed.glitches, "notes": fixed.notes}
-    wrote = f"wrote {display_name(outputs.file)}: {len(source.motion)} frames at {source.motion.fps:g} fps"
+    wrote = f"wrote {display_name(outputs.file)}: {counted(len(source.motion), 'frame')} at {source.motion.fps:g} fps"
     lines = [wrote, _table(fixed), *(f"  {note}" for note in fixed.notes)]
     outputs.report(facts, lines, (clip, source.in_file()))
 

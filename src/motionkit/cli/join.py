@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import (
-    EXISTING_FILE,
+    EXISTING,
     clip_options,
     fps_option,
     gathered,
@@ -21,11 +22,12 @@ from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import OutputOptions, animation_options, display_name, output_option, view_option
 from motionkit.cli.rig_options import RigChoice, clip_option, open_rig, rig_option
 from motionkit.cli.times import Moment, TimePair
+from motionkit.errors import MotionkitError
 from motionkit.names import counted
 
 
 @click.command("join")
-@click.argument("clips", nargs=-1, required=True, type=EXISTING_FILE)
+@click.argument("clips", nargs=-1, required=True, type=EXISTING)
 @output_option("File to write, FIRST-joined.bvh by default")
 @click.option(
     "--window",
@@ -72,7 +74,7 @@ def command(
     choice: RigChoice,
     output_options: OutputOptions,
 ) -> None:
-    """Join CLIPS, two or more, into one motion on the rig of the first.
+    """Join CLIPS, two or more, into one motion on the rig of the first. A folder stands for its clips by name.
 
     Each clip continues at the place and heading of the one before it, from where their poses are most similar.
     The difference there decays while feet on the floor are held; other frames stay as they are. Clips of other
@@ -84,8 +86,10 @@ def command(
     from motionkit.view.figure_data import MotionView
 
     output_options.check()
-    outputs = output_options.files(f"{clips[0].stem}-joined", [*clips, *choice.files])
-    chosen = list(zip(clips, _named(clips, animations), strict=True))
+    files = [clip for place in clips for clip in _clips(place)]
+    first = clips[0].resolve().name if clips[0].is_dir() else clips[0].stem
+    outputs = output_options.files(f"{first}-joined", [*files, *choice.files])
+    chosen = list(zip(files, _named(files, animations), strict=True))
     sources = [read_clip(clip, name) for clip, name in chosen]
     rates = [source.motion.fps for source in sources]
     times = [
@@ -94,7 +98,7 @@ def command(
     ]
     if len(at) > len(times):
         raise click.UsageError(
-            f"--at is given {counted(len(at), 'time')}, but {len(clips)} clips have {counted(len(times), 'join')}"
+            f"--at is given {counted(len(at), 'time')}, but {len(files)} clips have {counted(len(times), 'join')}"
         )
     names = [f"{clip} {name or ''}".strip() for clip, name in chosen]
     joined = join_motions(
@@ -118,11 +122,23 @@ def command(
     lines += [f"  {seam.sentence(*two)}" for seam, two in zip(joined.seams, pairwise(short), strict=True)]
     facts = {"output": outputs.file, "frames": len(made), "fps": made.fps}
     seams = [seam.as_dict() for seam in joined.seams]
-    read = [(clip, source.in_file()) for clip, source in zip(clips, sources, strict=True)]
+    read = [(clip, source.in_file()) for clip, source in zip(files, sources, strict=True)]
     outputs.report(facts | {"seams": seams}, lines, *read)
 
 
-def _named(clips: tuple[Path, ...], animations: tuple[str, ...]) -> list[str | None]:
+def _clips(place: Path) -> list[Path]:
+    """A clip, or those below a folder in the order of their names; raises MotionkitError if it has none."""
+    from motionkit.rig.read_file import endings_text, motion_files
+
+    if not place.is_dir():
+        return [place]
+    found = motion_files(place)
+    if not found:
+        raise MotionkitError(f"{place}: no {endings_text()} files found")
+    return found
+
+
+def _named(clips: Sequence[Path], animations: tuple[str, ...]) -> list[str | None]:
     """The animation to read from each clip: those given, in the order of the files that can have several."""
     from motionkit.rig.read_file import is_gltf
 

@@ -58,6 +58,9 @@ SPELLINGS = {
     "looking": "view",
     "show": "view",
     "cut": "trim",
+    "crop": "trim",
+    "speed": "trim --speed",
+    "resample": "trim --fps",
     "concat": "join",
     "merge": "join",
     "repair": "fix",
@@ -77,6 +80,9 @@ MEANT = {
     "trim": "-o",
     "fix": "-o",
 }
+
+# What takes the place of an option that other commands have.
+INSTEAD = {"convert": {name: "give the file to write as TARGET, after SOURCE" for name in ("-o", "--output")}}
 
 
 class Stopped(Exception):
@@ -253,9 +259,13 @@ def _show(error: click.ClickException) -> None:
     option = MEANT.get(getattr(getattr(error, "ctx", None), "info_name", None) or "")
     if extra and option and isinstance(error, click.UsageError):
         error = click.UsageError(f"{error.message}; did you mean {option} {extra[1]}?", error.ctx)
-    if isinstance(error, click.NoSuchOption) and isinstance(error.ctx and error.ctx.command, CommandGroup):
-        meant = _with_option(error.option_name)
-        if meant:
+    if isinstance(error, click.NoSuchOption) and error.ctx:
+        group = isinstance(error.ctx.command, CommandGroup)
+        instead = INSTEAD.get(error.ctx.info_name or "", {}).get(error.option_name)
+        meant = _with_option(error.option_name) if group else None
+        if instead:
+            error = click.UsageError(f"no such option {error.option_name!r}; {instead}", error.ctx)
+        elif meant:
             error = click.UsageError(f"{error.message.rstrip('.')}; did you mean {meant}?", error.ctx)
     with io.StringIO() as buffer:
         error.show(buffer)

@@ -211,7 +211,7 @@ def command(
     }
     rig = choice.rig
     on = "the canonical joints" if rig is None else f"{rig.name}, {len(rig.skeleton)} joints"
-    wrote = f"wrote {display_name(outputs.file)}: {len(made)} frames at {motion.fps:g} fps on {on}"
+    wrote = f"wrote {display_name(outputs.file)}: {counted(len(made), 'frame')} at {motion.fps:g} fps on {on}"
     if not output_options.as_json:
         for note in report.notes:
             remark(f"{source.name}: {note}")

@@ -77,11 +77,13 @@ def make_path(parts: list[PathPart]) -> Path2D:
     arcs = np.pad(length(np.diff(corners, axis=0)).cumsum(), (1, 0))[np.maximum(last, 0)]
     for number, (part, size) in enumerate(zip(parts, np.diff(arcs, prepend=0.0), strict=True), 1):
         if size < 2 * SPACING:
-            raise ControlError(
-                f"part {number} of the path ({part.type}) is {size:.1f} cm long, expected at least 4 cm"
-            )
+            one = "has one point" if len(corners) == 1 else f"is {size:.1f} cm long"
+            raise ControlError(f"part {number} of the path ({part.type}) {one}, expected at least 4 cm")
     if arcs[-1] > MAX_LENGTH:
-        raise ControlError(f"the path is longer than {MAX_LENGTH / METRE:g} m")
+        raise ControlError(
+            f"the path is {arcs[-1] / METRE:,.0f} m long, expected at most {MAX_LENGTH / METRE:,.0f} m; paths are in "
+            "metres: divide by 100 if yours is in centimetres"
+        )
     library, words = steering_library(), (Part * len(parts))(*(Part(last=number) for number in last.tolist()))
     count = library.path_points(corners.ctypes.data, len(corners))
     points, tangents = np.zeros((2, count, 2))
@@ -199,8 +201,8 @@ def read_path(file: str | Path) -> Path2D:
     """Read a path from JSON or CSV, in metres and metres per second.
 
     JSON: {"parts": [{"type": "walking", "speed": 1.4, "stop": 2, "points": [[x, z], ...]}, ...]}; speed and stop are
-    optional. CSV: columns x, z, type and optionally speed and stop; consecutive rows of one type make a part, and a
-    stop ends one.
+    optional. CSV: columns x, z, type and optionally speed and stop, between commas, semicolons or tabs; consecutive
+    rows of one type make a part, and a stop ends one.
 
     Raises:
         ControlError: naming the file and the part or line that is wrong.
@@ -211,9 +213,14 @@ def read_path(file: str | Path) -> Path2D:
     if file.suffix.lower() in ENDINGS and file.exists():
         raise ControlError(f"{file}: is a motion, expected a path: a JSON or CSV file, or a named shape")
     text = read_text(file, "a path", ControlError)
-    parts = _csv_parts(file, text) if file.suffix.lower() == ".csv" else _json_parts(file, text)
+    parts = _csv_parts(file, text) if _is_table(file, text) else _json_parts(file, text)
     with naming(file, ControlError):
         return make_path(parts)
+
+
+def _is_table(file: Path, text: str) -> bool:
+    ending = file.suffix.lower()
+    return ending == ".csv" or (ending != ".json" and not text.lstrip().startswith(("{", "[")))
 
 
 _FIELDS = ("type", "points", "speed", "stop")
@@ -272,15 +279,21 @@ def _part(where: str, points: list, kind: str, speed: float | None, stop: float)
 
 def _csv_parts(file: Path, text: str) -> list[PathPart]:
     lines = text.splitlines()
-    # Spreadsheets of some countries write semicolons, and commas in numbers.
-    semicolons = bool(lines) and ";" in lines[0] and "," not in lines[0]
-    reader = csv.DictReader(lines, delimiter=";" if semicolons else ",")
+    # Spreadsheets write commas, tabs, or, where numbers have commas, semicolons.
+    between = next((each for each in "\t;" if lines and each in lines[0]), ",")
+    reader = csv.DictReader(lines, delimiter=between)
     groups: list[tuple[str, float | None, list[list[float]]]] = []
     stops: list[float] = []
     try:
-        missing = [name for name in ("x", "z", "type") if name not in (reader.fieldnames or [])]
+        found = [name.strip().lower() for name in reader.fieldnames or []]
+        missing = [name for name in ("x", "z", "type") if name not in found]
         if missing:
-            raise ControlError(f"{file}:1: path table lacks the columns {', '.join(missing)}")
+            first = f"found {lines[0][:40]!r}" if found else "found nothing"
+            raise ControlError(
+                f"{file}:1: expected a first line that names the columns x, z and type, {first}; "
+                f"it lacks {', '.join(missing)}"
+            )
+        reader.fieldnames = found
         for row in reader:
             kind, speed, stop, point = _csv_row(f"{file}:{reader.line_num}", row)
             if not groups or groups[-1][:2] != (kind, speed) or stops[-1]:
@@ -301,6 +314,10 @@ def _csv_number(text: str) -> float:
 
 
 def _csv_row(where: str, row: dict[str, str]) -> tuple[str, float | None, float, list[float]]:
+    if None in row:  # where csv puts what has no column
+        raise ControlError(
+            f"{where}: has more values than columns; put semicolons between them if numbers have commas"
+        )
     try:
         point = [_csv_number(row["x"]), _csv_number(row["z"])]
         speed, stop = (_csv_number(row[n]) if (row.get(n) or "").strip() else None for n in ("speed", "stop"))

@@ -272,9 +272,9 @@ def _type_facts(
         warnings.append(f"most clips leave the ground, but not {_listed(grounded)}")
     groups = two_groups(np.stack([stretch.place for stretch in mine])) if len(mine) >= GROUPED else None
     if groups is not None:
-        warnings.append(
-            f"its clips fall into two groups: {_listed([mine[i].clip for i in groups])} differ from the others"
-        )
+        others = [mine[i].clip for i in groups]
+        verb = "differs" if len(set(others)) == 1 else "differ"
+        warnings.append(f"its clips fall into two groups: {_listed(others)} {verb} from the others")
     warnings += _misplaced(kind, by_type)
     speed = sum(stretch.speed * stretch.seconds for stretch in mine) / max(seconds, 1e-6)
     in_the_air = sum(stretch.flying for stretch in mine) / max(seconds, 1e-6)

@@ -37,7 +37,7 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import Skeleton
-from motionkit.names import nfc
+from motionkit.names import counted, nfc
 from motionkit.reading import report_notes, user_cm
 
 RATE = 120.0  # frames per second of the CMU database; motion files rarely say theirs
@@ -68,6 +68,7 @@ class _Skeleton:
         length: its unit of length; 1 if it names none.
         degrees: whether its angles are degrees.
         start: (3,) where the root stands before it moves.
+        file: the name of its file.
         bones: by name, the root among them.
         parents: the parent of each bone of the hierarchy, in depth-first order.
     """
@@ -75,6 +76,7 @@ class _Skeleton:
     length: float = 1.0
     degrees: bool = True
     start: Doubles = field(default_factory=lambda: np.zeros(3))
+    file: str = ""
     bones: dict[str, _Bone] = field(default_factory=lambda: {_ROOT: _Bone()})
     parents: dict[str, str] = field(default_factory=lambda: {_ROOT: ""})
 
@@ -95,14 +97,19 @@ def read_acclaim(path: str | Path) -> BvhFile:
     if Path(path).suffix.lower() == ".asf":
         return _file(_read_skeleton(path), np.zeros((1, 0)), 1.0 / POSE_FRAME, {})
     notes = Notes(path)
-    skeleton = _read_skeleton(skeleton_file(path))
+    bones_of = skeleton_file(path)
+    skeleton = _read_skeleton(bones_of)
     columns, count = {}, 0
     for name in skeleton.parents:
         columns[name] = range(count, count + len(skeleton.bones[name].channels))
         count = columns[name].stop
     values, rate = _read_motion(path, skeleton, columns, notes)
-    unsaid = f"{RATE:g} frames a second, because the file does not say its rate"
-    report_notes(path, notes.lines if rate else (*notes.lines, unsaid))
+    said = [*notes.lines]
+    if not _named_for(path, bones_of):
+        said.append(f"the skeleton {bones_of.name}, the only one beside it")
+    if not rate:
+        said.append(f"{RATE:g} frames a second, because the file does not say its rate")
+    report_notes(path, tuple(said))
     return _file(skeleton, values, rate or RATE, columns)
 
 
@@ -113,17 +120,18 @@ def skeleton_file(path: str | Path) -> Path:
         sorted(one for one in path.parent.glob("*") if one.suffix.lower() == ".asf") if path.exists() else []
     )
     stem = path.stem.lower()
-    fitting = [
-        one
-        for one in found
-        if stem == one.stem.lower()
-        or (stem.startswith(one.stem.lower()) and not stem[len(one.stem)].isalnum())
-    ]
+    fitting = [one for one in found if _named_for(path, one)]
     if fitting or len(found) == 1:
         return max(fitting or found, key=lambda one: len(one.stem))
     names = f"{stem}.asf or {stem.partition('_')[0]}.asf"
     other = f"; there are {', '.join(one.name for one in found[:4])}" if found else ""
     raise BvhError(path, f"needs its skeleton beside it, {names}{other}" if path.exists() else "no such file")
+
+
+def _named_for(path: str | Path, skeleton: Path) -> bool:
+    """Whether a skeleton has the name of a motion file, or the beginning of it."""
+    stem, name = Path(path).stem.lower(), skeleton.stem.lower()
+    return stem == name or (stem.startswith(name) and not stem[len(name)].isalnum())
 
 
 def _lines(path: str | Path, what: str) -> list[str]:
@@ -142,7 +150,7 @@ def _lines(path: str | Path, what: str) -> list[str]:
 
 
 def _read_skeleton(path: str | Path) -> _Skeleton:
-    out, notes = _Skeleton(), Notes(path)
+    out, notes = _Skeleton(file=Path(path).name), Notes(path)
     lines = _lines(path, "an ASF file")
     section, block = "", _Block()
     for number, line in enumerate(lines, 1):
@@ -316,7 +324,7 @@ def _read_motion(
             places.append(number)
         else:
             try:
-                _row(rows, lines_of_bones, words, columns, number, notes)
+                _row(rows, lines_of_bones, words, columns, skeleton.file, number, notes)
             except BvhError:
                 if number < last or len(rows) < 2 or notes.strict:
                     raise
@@ -337,14 +345,15 @@ def _row(
     lines_of_bones: dict[str, int],
     words: list[str],
     columns: dict[str, range],
+    skeleton: str,
     line: int,
     notes: Notes,
 ) -> None:
-    """Read the angles of a bone into the last row."""
+    """Read the angles of a bone into the last row; skeleton is the name of its file."""
     name = nfc(words[0])
     place = columns.get(name)
     if place is None:
-        raise BvhError(notes.path, f"the skeleton has no bone {name[:40]!r}", line)
+        raise BvhError(notes.path, f"the skeleton {skeleton} has no bone {name[:40]!r}", line)
     if not rows:
         raise BvhError(notes.path, f"expected the number of a frame, found {words[0][:40]!r}", line)
     if name in lines_of_bones:
@@ -352,7 +361,8 @@ def _row(
             notes.path, f"{name} is given twice in a frame, first on line {lines_of_bones[name]}", line
         )
     if len(words) - 1 != len(place):
-        raise BvhError(notes.path, f"expected {len(place)} values for {name}, found {len(words) - 1}", line)
+        expected = f"expected {counted(len(place), 'value')} for {name}, as {skeleton} says"
+        raise BvhError(notes.path, f"{expected}, found {len(words) - 1}", line)
     lines_of_bones[name] = line
     rows[-1][place.start : place.stop] = floats(words[1:], line, name, notes, unknown=True)
 

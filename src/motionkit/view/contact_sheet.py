@@ -19,6 +19,7 @@ from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write
 from motionkit.metrics.report import sliding_words
 from motionkit.motion.motion import Motion
+from motionkit.names import counted
 from motionkit.view.contact_sheet_geometry import (
     Figure,
     camera_angle,
@@ -197,7 +198,7 @@ def _draw_block(
 ) -> None:
     unit, cm = figure.unit()
     count = len(figure.positions)
-    facts = f"{count} frames, {figure.fps:g} fps, {count / figure.fps:.1f} s, lengths in {unit}"
+    facts = f"{counted(count, 'frame')}, {figure.fps:g} fps, {count / figure.fps:.1f} s, lengths in {unit}"
     canvas.box(_Box(box.left, box.top, box.width, TITLE_HEIGHT - 6), fill=(238, 240, 244))
     canvas.text(box.left + 8, box.top + 3, title, size=15)
     _draw_legend(canvas, box.left + box.width - 8, box.top + 5, facts)
