@@ -40,13 +40,18 @@ def worlds_of(nodes: list[dict[str, Any]]) -> dict[int, np.ndarray]:
 
 def skinned(value: dict[str, Any], change: Callable[[dict[str, Any]], object] = id) -> bytes:
     """A character of test_gltf_rig with a mesh: a triangle below each joint, weighted to it alone; then changed."""
-    joints = value["skins"][0]["joints"]
+    joints, hung = value["skins"][0]["joints"], value.pop("hung", {})
     worlds = np.stack([worlds_of(value["nodes"])[joint] for joint in joints])
-    points = (worlds[:, None, :3, 3] + CORNERS).reshape(-1, 3).astype(np.float32)
+    count = len(joints) - bool(hung)
+    points = (worlds[:count, None, :3, 3] + CORNERS).reshape(-1, 3).astype(np.float32)
     which = np.zeros((len(points), 4), np.uint16)
-    which[:, 0] = np.arange(len(joints)).repeat(3)
+    which[:, 0] = np.arange(count).repeat(3)
     weights = np.zeros((len(points), 4), np.float32)
     weights[:, 0] = 1.0
+    for name, share in hung.items():
+        first = 3 * JOINT_NAMES.index(name)
+        which[first : first + 3, 1] = count
+        weights[first : first + 3, :2] = 1.0 - share, share
     inverses = np.linalg.inv(worlds).swapaxes(1, 2).reshape(-1, 16).astype(np.float32)
     data, views, accessors = b"", [], []
     for array, kind, component in (
@@ -106,6 +111,13 @@ def turned_back(value: dict[str, Any]) -> dict[str, Any]:
     return value
 
 
+def with_root(value: dict[str, Any], **hung: float) -> dict[str, Any]:
+    """A root bone on the floor, on which hang shares of the skin of some joints, by name."""
+    value["nodes"][1]["name"] = "Root"
+    value["skins"][0]["joints"] += [1]
+    return value | {"hung": hung}
+
+
 def with_twists(value: dict[str, Any]) -> dict[str, Any]:
     """A twist bone beside each forearm and upper arm, half way along."""
     for name, below in (("LeftArm", "LeftForeArm"), ("RightForeArm", "RightHand")):
@@ -120,6 +132,8 @@ def with_twists(value: dict[str, Any]) -> dict[str, Any]:
 CHARACTERS: dict[str, Callable[[], dict[str, Any]]] = {
     "plain": character,
     "twists": lambda: with_twists(character()),
+    "heels on root": lambda: with_root(character(), LeftFoot=0.1, RightToeBase=0.1),
+    "belt on root": lambda: with_root(character(), LeftFoot=0.1, Hips=0.3),
     "backwards": lambda: turned_back(character()),
     "vrm0": lambda: turned_back(avatar("0.x")),
     "vrm1": lambda: avatar("1.0"),

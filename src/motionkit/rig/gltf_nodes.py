@@ -204,13 +204,16 @@ class GltfNodes:
                     raise self.fault("a mesh whose vertices are bound to joints that its skin does not have")
                 yield skin, places, which, weights
 
-    def bound(self) -> set[int]:
-        """The nodes that vertices move with, as far as meshes can be read."""
-        out: set[int] = set()
+    def shares(self, *groups: set[int]) -> Array:
+        """The shares (N, G) of groups of nodes in how each vertex moves, as far as meshes can be read."""
+        out = [np.zeros((0, len(groups)), np.float32)]
         with contextlib.suppress(MotionkitError):
             for skin, _, which, weights in self.vertices():
-                out.update(skin["joints"][joint] for joint in np.unique(which[weights > 0.0]))
-        return out
+                nodes = np.array(skin["joints"])[which]
+                parts = [(weights * np.isin(nodes, list(group))).sum(axis=1) for group in groups]
+                whole = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+                out.append(np.stack(parts, axis=1) / whole)
+        return np.concatenate(out)
 
     def names(self, nodes: list[int]) -> tuple[str, ...]:
         """Unique names of joints that a BVH file can hold."""
