@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import functools
 import json
 import struct
+import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +19,16 @@ from synthetic_rigs import FAMILIES
 
 # Of the triangle at each joint in the rest pose, in metres: the soles are 2.5 cm below the toes.
 CORNERS = np.array([[0, 0, 0], [0.1, 0, 0], [0, -0.025, 0]], np.float32)
+
+
+PIXEL = b"\x89PNG\r\n\x1a\n" + b"".join(
+    struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part))
+    for part in (
+        b"IHDR" + struct.pack(">IIBBBBB", 1, 1, 8, 2, 0, 0, 0),
+        b"IDAT" + zlib.compress(b"\0\x80\x80\xff"),
+        b"IEND",
+    )
+)
 
 
 def worlds_of(nodes: list[dict[str, Any]]) -> dict[int, np.ndarray]:
@@ -103,6 +115,31 @@ def avatar(version: str) -> dict[str, Any]:
         }  # fmt: skip
     value["extensionsUsed"] = list(value["extensions"])
     return value
+
+
+def toon(value: dict[str, Any]) -> None:
+    """Shade a skinned avatar of VRM 1.0 as cartoons are, with a normal map and tangents."""
+    count, arrays = value["accessors"][0]["count"], {"NORMAL": 3, "TANGENT": 4, "TEXCOORD_0": 2}
+    data = b"".join(
+        np.tile(np.eye(width, dtype=np.float32)[-1], (count, 1)).tobytes() for width in arrays.values()
+    )
+    value["buffers"].append(
+        {"byteLength": len(data), "uri": "data:;base64," + base64.b64encode(data).decode()}
+    )
+    attributes, first = value["meshes"][0]["primitives"][0]["attributes"], 0
+    for name, width in arrays.items():
+        view = {"buffer": 1, "byteOffset": first, "byteLength": 4 * width * count}
+        value["bufferViews"].append(view)
+        first += view["byteLength"]
+        entry = {"bufferView": len(value["bufferViews"]) - 1, "componentType": 5126, "count": count}
+        value["accessors"].append(entry | {"type": f"VEC{width}"})
+        attributes[name] = len(value["accessors"]) - 1
+    value["images"] = [{"uri": "data:image/png;base64," + base64.b64encode(PIXEL).decode()}]
+    value["textures"] = [{"source": 0}]
+    shading = {"VRMC_materials_mtoon": {"specVersion": "1.0"}}
+    value["materials"] = [{"normalTexture": {"index": 0}, "extensions": shading}]
+    value["meshes"][0]["primitives"][0]["material"] = 0
+    value["extensionsUsed"].append("VRMC_materials_mtoon")
 
 
 def turned_back(value: dict[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,8 @@ from motionkit.rig.rig import Rig
 from play.test_demo import address, folder, visit  # noqa: F401
 from rig.test_character import parts
 from rig.test_gltf_rig import character
-from synthetic_characters import CHARACTERS, skinned
+from synthetic_characters import CHARACTERS, skinned, toon
+from view.conftest import drawn
 
 pytestmark = pytest.mark.thorough
 
@@ -171,6 +172,17 @@ def test_a_recording_is_the_file_with_one_animation_more(page: Page, tmp_path: P
         live_places(rig, np.array(root, np.float32), np.array(turns, np.float32)) for root, turns in kept
     ]
     assert np.abs(motion_kinematics(motion)[1][: len(kept)] - wanted).max() < 0.1
+
+
+def test_a_toon_avatar_with_tangents_is_drawn(open_page: Callable[..., Page], address: str) -> None:  # noqa: F811
+    page, said = open_page(address, 320, 240), list[str]()
+    page.on("console", lambda message: said.append(message.text))
+    page.wait_for_function("window.motionkit?.own?.root")
+    give(page, "hero.vrm", skinned(CHARACTERS["vrm1"](), toon))
+    page.wait_for_function("motionkit.own?.figure.hero && motionkit.own.figure.visible")
+    drawn(page)
+    page.close()
+    assert not said, said
 
 
 @pytest.mark.parametrize("key", ["plain", "twists", "vrm0", "heels on root"])

@@ -24,6 +24,8 @@ export async function readCharacter(bytes) {
   const loader = new GLTFLoader().setMeshoptDecoder(meshopt);
   loader.register((parser) => new VRMLoaderPlugin(parser, { autoUpdateHumanBones: false }));
   const read = await loader.parseAsync(bytes, "");
+  // The toon shader of avatars works tangents out itself, and does not compile with those of a mesh.
+  read.scene.traverse(({ geometry, material }) => [material].flat().some((one) => one?.isMToonMaterial) && geometry.deleteAttribute("tangent"));
   read.nodes = await Promise.all((read.parser.json.nodes ?? []).map((_, n) => read.parser.getDependency("node", n)));
   return read;
 }
