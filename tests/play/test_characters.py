@@ -21,7 +21,7 @@ from motionkit.rig.on_rig import read_rig
 from motionkit.rig.rig import Rig
 from play.test_demo import address, folder, visit  # noqa: F401
 from rig.test_character import parts
-from rig.test_gltf_rig import character
+from rig.test_gltf_rig import character, two_below_one
 from synthetic_characters import CHARACTERS, skinned, toon
 from view.conftest import drawn
 
@@ -98,10 +98,16 @@ def unseen(value: dict[str, Any]) -> None:
     del value["meshes"], value["nodes"][-1]["mesh"]
 
 
+def two(value: dict[str, Any]) -> None:
+    two_below_one(value)
+    value["nodes"][-2]["skin"] = 1
+
+
 FAULTS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "no skeleton": (bare, "no skeleton"),
     "no mesh": (unseen, "no meshes"),
     "circle": (circular, "circle"),
+    "two": (two, "two skeletons"),
     "no leg": (renamed, "looked for a side (left, right, L, R) with thigh"),
     "elsewhere": (lambda value: value["buffers"][0].update(uri="hero.bin"), "another file"),
     "draco": (lambda value: value.update(extensionsRequired=["KHR_draco_mesh_compression"]), "without"),
