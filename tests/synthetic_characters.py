@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import functools
 import json
 import struct
+import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +19,16 @@ from synthetic_rigs import FAMILIES
 
 # Of the triangle at each joint in the rest pose, in metres: the soles are 2.5 cm below the toes.
 CORNERS = np.array([[0, 0, 0], [0.1, 0, 0], [0, -0.025, 0]], np.float32)
+
+
+PIXEL = b"\x89PNG\r\n\x1a\n" + b"".join(
+    struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part))
+    for part in (
+        b"IHDR" + struct.pack(">IIBBBBB", 1, 1, 8, 2, 0, 0, 0),
+        b"IDAT" + zlib.compress(b"\0\x80\x80\xff"),
+        b"IEND",
+    )
+)
 
 
 def worlds_of(nodes: list[dict[str, Any]]) -> dict[int, np.ndarray]:
@@ -40,13 +52,18 @@ def worlds_of(nodes: list[dict[str, Any]]) -> dict[int, np.ndarray]:
 
 def skinned(value: dict[str, Any], change: Callable[[dict[str, Any]], object] = id) -> bytes:
     """A character of test_gltf_rig with a mesh: a triangle below each joint, weighted to it alone; then changed."""
-    joints = value["skins"][0]["joints"]
+    joints, hung = value["skins"][0]["joints"], value.pop("hung", {})
     worlds = np.stack([worlds_of(value["nodes"])[joint] for joint in joints])
-    points = (worlds[:, None, :3, 3] + CORNERS).reshape(-1, 3).astype(np.float32)
+    count = len(joints) - bool(hung)
+    points = (worlds[:count, None, :3, 3] + CORNERS).reshape(-1, 3).astype(np.float32)
     which = np.zeros((len(points), 4), np.uint16)
-    which[:, 0] = np.arange(len(joints)).repeat(3)
+    which[:, 0] = np.arange(count).repeat(3)
     weights = np.zeros((len(points), 4), np.float32)
     weights[:, 0] = 1.0
+    for name, share in hung.items():
+        first = 3 * JOINT_NAMES.index(name)
+        which[first : first + 3, 1] = count
+        weights[first : first + 3, :2] = 1.0 - share, share
     inverses = np.linalg.inv(worlds).swapaxes(1, 2).reshape(-1, 16).astype(np.float32)
     data, views, accessors = b"", [], []
     for array, kind, component in (
@@ -100,10 +117,42 @@ def avatar(version: str) -> dict[str, Any]:
     return value
 
 
+def toon(value: dict[str, Any]) -> None:
+    """Shade a skinned avatar of VRM 1.0 as cartoons are, with a normal map and tangents."""
+    count, arrays = value["accessors"][0]["count"], {"NORMAL": 3, "TANGENT": 4, "TEXCOORD_0": 2}
+    data = b"".join(
+        np.tile(np.eye(width, dtype=np.float32)[-1], (count, 1)).tobytes() for width in arrays.values()
+    )
+    value["buffers"].append(
+        {"byteLength": len(data), "uri": "data:;base64," + base64.b64encode(data).decode()}
+    )
+    attributes, first = value["meshes"][0]["primitives"][0]["attributes"], 0
+    for name, width in arrays.items():
+        view = {"buffer": 1, "byteOffset": first, "byteLength": 4 * width * count}
+        value["bufferViews"].append(view)
+        first += view["byteLength"]
+        entry = {"bufferView": len(value["bufferViews"]) - 1, "componentType": 5126, "count": count}
+        value["accessors"].append(entry | {"type": f"VEC{width}"})
+        attributes[name] = len(value["accessors"]) - 1
+    value["images"] = [{"uri": "data:image/png;base64," + base64.b64encode(PIXEL).decode()}]
+    value["textures"] = [{"source": 0}]
+    shading = {"VRMC_materials_mtoon": {"specVersion": "1.0"}}
+    value["materials"] = [{"normalTexture": {"index": 0}, "extensions": shading}]
+    value["meshes"][0]["primitives"][0]["material"] = 0
+    value["extensionsUsed"].append("VRMC_materials_mtoon")
+
+
 def turned_back(value: dict[str, Any]) -> dict[str, Any]:
     """The character faces -Z, as VRM 0.x."""
     value["nodes"][1]["rotation"] = [0.0, 1.0, 0.0, 0.0]
     return value
+
+
+def with_root(value: dict[str, Any], **hung: float) -> dict[str, Any]:
+    """A root bone on the floor, on which hang shares of the skin of some joints, by name."""
+    value["nodes"][1]["name"] = "Root"
+    value["skins"][0]["joints"] += [1]
+    return value | {"hung": hung}
 
 
 def with_twists(value: dict[str, Any]) -> dict[str, Any]:
@@ -120,6 +169,8 @@ def with_twists(value: dict[str, Any]) -> dict[str, Any]:
 CHARACTERS: dict[str, Callable[[], dict[str, Any]]] = {
     "plain": character,
     "twists": lambda: with_twists(character()),
+    "heels on root": lambda: with_root(character(), LeftFoot=0.1, RightToeBase=0.1),
+    "belt on root": lambda: with_root(character(), LeftFoot=0.1, Hips=0.3),
     "backwards": lambda: turned_back(character()),
     "vrm0": lambda: turned_back(avatar("0.x")),
     "vrm1": lambda: avatar("1.0"),

@@ -21,8 +21,9 @@ from motionkit.rig.on_rig import read_rig
 from motionkit.rig.rig import Rig
 from play.test_demo import address, folder, visit  # noqa: F401
 from rig.test_character import parts
-from rig.test_gltf_rig import character
-from synthetic_characters import CHARACTERS, skinned
+from rig.test_gltf_rig import character, two_below_one
+from synthetic_characters import CHARACTERS, skinned, toon
+from view.conftest import drawn
 
 pytestmark = pytest.mark.thorough
 
@@ -97,10 +98,16 @@ def unseen(value: dict[str, Any]) -> None:
     del value["meshes"], value["nodes"][-1]["mesh"]
 
 
+def two(value: dict[str, Any]) -> None:
+    two_below_one(value)
+    value["nodes"][-2]["skin"] = 1
+
+
 FAULTS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "no skeleton": (bare, "no skeleton"),
     "no mesh": (unseen, "no meshes"),
     "circle": (circular, "circle"),
+    "two": (two, "two skeletons"),
     "no leg": (renamed, "looked for a side (left, right, L, R) with thigh"),
     "elsewhere": (lambda value: value["buffers"][0].update(uri="hero.bin"), "another file"),
     "draco": (lambda value: value.update(extensionsRequired=["KHR_draco_mesh_compression"]), "without"),
@@ -137,9 +144,9 @@ def live_places(rig: Rig, root: np.ndarray, rotations: np.ndarray) -> np.ndarray
     return motion_kinematics(Motion(rig.skeleton, turns, local[:, 0], 60.0, local))[1][0] * rig.scale
 
 
-@pytest.mark.parametrize("key", ["plain", "vrm0", "vrm1"])
+@pytest.mark.parametrize("key", ["plain", "vrm0", "vrm1", "heels on root", "belt on root"])
 def test_a_recording_is_the_file_with_one_animation_more(page: Page, tmp_path: Path, key: str) -> None:
-    name = f"{key}-hero.{'glb' if key == 'plain' else 'vrm'}"
+    name = f"{key}-hero.{'vrm' if key.startswith('vrm') else 'glb'}"
     source = skinned(CHARACTERS[key]())
     (tmp_path / name).write_bytes(source)
     give(page, name, source)
@@ -149,7 +156,7 @@ def test_a_recording_is_the_file_with_one_animation_more(page: Page, tmp_path: P
     page.evaluate("motionkit.record()")
     page.evaluate("motionkit.perform('cartwheel')")
     page.wait_for_function("motionkit.link.world.characters.get(1).recorded.length > 90")
-    assert (page.evaluate(hair) != before) == (key != "plain")  # the spring bone of an avatar swings
+    assert (page.evaluate(hair) != before) == key.startswith("vrm")  # the spring bone of an avatar swings
     kept = page.evaluate(
         "motionkit.link.world.characters.get(1).recorded.map((one) => [[...one.root], [...one.rotations]])"
     )
@@ -173,7 +180,18 @@ def test_a_recording_is_the_file_with_one_animation_more(page: Page, tmp_path: P
     assert np.abs(motion_kinematics(motion)[1][: len(kept)] - wanted).max() < 0.1
 
 
-@pytest.mark.parametrize("key", ["plain", "twists", "vrm0"])
+def test_a_toon_avatar_with_tangents_is_drawn(open_page: Callable[..., Page], address: str) -> None:  # noqa: F811
+    page, said = open_page(address, 320, 240), list[str]()
+    page.on("console", lambda message: said.append(message.text))
+    page.wait_for_function("window.motionkit?.own?.root")
+    give(page, "hero.vrm", skinned(CHARACTERS["vrm1"](), toon))
+    page.wait_for_function("motionkit.own?.figure.hero && motionkit.own.figure.visible")
+    drawn(page)
+    page.close()
+    assert not said, said
+
+
+@pytest.mark.parametrize("key", ["plain", "twists", "vrm0", "heels on root"])
 def test_play_shows_the_character_where_json_clients_get_it(
     serve: Callable, open_page: Callable[..., Page], tiny_model: MotionModel, tmp_path: Path, key: str
 ) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
+from motionkit.editing.rest_frame import with_rest_frame
 from motionkit.editing.root_motion import in_place, with_ground_root
 from motionkit.errors import MotionkitError
 from motionkit.export.clip import rig_clip
@@ -25,7 +26,7 @@ from motionkit.motion.rotations import quat_angle
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.rig.on_rig import read_rig
 from rig.test_gltf_rig import VRM, character
-from synthetic_characters import skinned
+from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_walk
 
 LEGS = np.float32([[0.1, 0.2, 0.3], [0.0, 1.0, 2.0]])
@@ -275,6 +276,26 @@ def test_skin_of_the_root_bone_goes_along(tmp_path: Path, walk: Motion, bound: b
     assert np.abs(found["Hips"][:, :3, 3] - motion_kinematics(made)[1][:, hips]).max() < 1e-6
     way = np.ptp(found["Root"][:, 2, 3])
     assert way > 1.7 if bound else way == 0.0
+
+
+@pytest.mark.parametrize("key", ["heels on root", "belt on root"])
+def test_a_root_bone_goes_down_with_the_hips_only_for_other_skin_than_feet(
+    tmp_path: Path, walk: Motion, key: str
+) -> None:
+    """Some percent of a heel may hang on the root: in a crouch it would press the heel through the floor."""
+    (tmp_path / "hero.glb").write_bytes(skinned(CHARACTERS[key]()))
+    rig = read_rig(tmp_path / "hero.glb")
+    jumps = np.sin(np.linspace(0.0, 2.0 * np.pi, len(walk)), dtype=np.float32)[:, None] * [0.0, 30.0, 0.0]
+    moved = replace(walk, root_positions=walk.root_positions + jumps.astype(np.float32))
+    made = on_rig(moved, rig, ik=False)
+    first = with_rest_frame(made, rig)
+    write_motion(tmp_path / "out.glb", rig_clip(first, rig, "out"))
+    found, hips = worlds(tmp_path / "out.glb"), rig.skeleton.names.index("Hips")
+    root, body = (found[name][:, :3, 3] for name in ("Root", "Hips"))
+    assert np.abs(body - motion_kinematics(first)[1][:, hips]).max() < 1e-5
+    assert np.abs((body - root)[:, [0, 2]] - (body - root)[0, [0, 2]]).max() < 1e-5
+    assert root[:, 1].max() > 0.2 and np.ptp(body[:, 1]) > 0.5
+    assert (root[:, 1].min() < -0.2) == (key == "belt on root") and (root[:, 1].min() > -0.01) == rig.under
 
 
 @pytest.mark.parametrize("where", ["beside", "along"])

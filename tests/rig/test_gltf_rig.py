@@ -160,6 +160,13 @@ def two_characters(value: dict[str, Any]) -> None:
     value["skins"].append({"joints": [joint + count for joint in value["skins"][0]["joints"]]})
 
 
+def two_below_one(value: dict[str, Any]) -> None:
+    count = len(value["nodes"])
+    two_characters(value)
+    value["nodes"].append({"name": "Sketch", "children": [0, count]})
+    value["scenes"] = [{"nodes": [len(value["nodes"]) - 1]}]
+
+
 def no_leg(value: dict[str, Any]) -> None:
     value["nodes"][2]["children"] = [child for child in value["nodes"][2]["children"] if child != 3]
     value["skins"][0]["joints"] = [joint for joint in value["skins"][0]["joints"] if not 3 <= joint <= 6]
@@ -191,6 +198,7 @@ def bone_elsewhere(value: dict[str, Any]) -> None:
         (circular, "node 2 has two parents|the nodes form a circle"),
         (two_parents, "node 2 has two parents"),
         (two_characters, "two skeletons, below Scene and Other; expected one character per file"),
+        (two_below_one, "two skeletons, below Scene and Other; expected one character per file"),
         (no_leg, "no joint found for LeftUpLeg, LeftLeg"),
         (leg_apart, "a skin has joints in 2 trees, below Scene and LeftUpLeg; expected one skeleton"),
         (short_rotation, "expected 4 numbers as rotation of node"),
@@ -208,6 +216,19 @@ def test_what_is_refused_in_one_line(tmp_path: Path, change: Any, said: str) -> 
     with pytest.raises(MotionkitError, match=said) as caught:
         read_rig(tmp_path / "my.glb")
     assert "\n" not in str(caught.value) and str(caught.value).startswith(f"{tmp_path / 'my.glb'}: ")
+
+
+def test_skins_of_one_character_below_one_node(tmp_path: Path) -> None:
+    """Each part of a character may have a skin of its own joints, and other things their own skeletons."""
+    value, joints = character(), list(range(2, 25))
+    legs = [joint for joint in joints if JOINT_NAMES[joint - 2].endswith(("Leg", "Foot", "ToeBase"))]
+    value["skins"] = [{"joints": joints}, {"joints": legs}, {"joints": sorted(set(joints) - set(legs))}]
+    count = len(value["nodes"])
+    value["nodes"] += [{"name": f"tail{n}", "children": [count + n + 1]} for n in range(30)] + [{}]
+    value["nodes"][0]["children"].append(count)
+    value["skins"].append({"joints": list(range(count, count + 31))})
+    write_glb(tmp_path / "my.glb", value)
+    assert read_rig(tmp_path / "my.glb").joints.missing() == ()
 
 
 @pytest.mark.parametrize("told", [False, True])

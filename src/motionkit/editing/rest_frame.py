@@ -19,9 +19,9 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton
 from motionkit.rig.rest_pose import SIDES, SourceRig, body_frame, is_standing
 from motionkit.rig.retarget import to_local
-from motionkit.rig.rig import Rig, make_rig, mover, stance_part
+from motionkit.rig.rig import Rig, make_rig, stance_part
 from motionkit.rig.standing_pose import standing_turns
-from motionkit.rig.to_rig import standing_height, to_rig
+from motionkit.rig.to_rig import carry, standing_height, to_rig
 from motionkit.rig.up_axis import up_turn
 
 
@@ -111,8 +111,6 @@ def _at(rest: Motion, first: Motion, rig: Rig) -> Motion:
     usual = STANDING_HEIGHTS[part == "ToeBase"]
     shift[1] = standing_height(rig, usual) / rig.scale - min(here[feet, 1], default=0.0)
     shift = quat_rotate(quat_inverse(up), shift)
-    joint = mover(rig.skeleton, rig.channels, rig.joints) or 0
-    above = rig.skeleton.parents[joint]
     moved = (
         np.repeat(rig.skeleton.offsets[None], 1, axis=0)
         if rest.local_positions is None
@@ -120,5 +118,5 @@ def _at(rest: Motion, first: Motion, rig: Rig) -> Motion:
     )
     moved = moved.astype(np.float32).copy()
     moved[:, 0] = rest.root_positions
-    moved[:, joint] += shift if above < 0 else quat_rotate(quat_inverse(turns[0, above]), shift)
+    carry(rig, moved, turns, shift[None])
     return replace(rest, root_positions=moved[:, 0], local_positions=moved)

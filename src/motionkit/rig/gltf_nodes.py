@@ -16,6 +16,7 @@ from motionkit.motion.bvh_text import MAX_JOINTS, MAX_NAME
 from motionkit.motion.rotations import quat_to_matrix
 from motionkit.names import joint_names, visible
 from motionkit.rig.gltf import GltfFile
+from motionkit.rig.names import LIMBS, limb
 
 # VRM names of bones and their canonical joints; limbs without the side. Spine and collars are found between the limbs.
 _VRM_LIMBS = {
@@ -167,9 +168,34 @@ class GltfNodes:
                 )
         (first, count), *others = Counter(tops[node] for node in needed).most_common()
         if others and 2 * others[0][1] >= count:
-            names = f"{self.name(first)} and {self.name(others[0][0])}"
-            raise self.fault(f"two skeletons, below {names}; expected one character per file")
+            raise self._two(first, others[0][0])
+        self._check_skins()
         return {node for node in needed if tops[node] == first}
+
+    def _check_skins(self) -> None:
+        """Raise MotionkitError for two skins of different people, by the names of their limbs, below one node."""
+        people: list[list[int]] = []  # the nodes down to the lowest that has all joints of a skin
+        for skin in self.file.items("skins"):
+            paths = [self._path(joint) for joint in skin.get("joints", [])]
+            if not LIMBS <= {limb(self.name(path[-1])) for path in paths}:
+                continue
+            shared = [nodes[0] for nodes in zip(*paths, strict=False) if len(set(nodes)) == 1]
+            for other in people:
+                apart = next((pair for pair in zip(shared, other, strict=False) if pair[0] != pair[1]), None)
+                if apart:
+                    raise self._two(*sorted(apart))
+            people.append(shared)
+
+    def _path(self, node: int) -> list[int]:
+        """The nodes from the top down to a node."""
+        path = [node]
+        while self.parents[path[-1]] >= 0:
+            path.append(self.parents[path[-1]])
+        return path[::-1]
+
+    def _two(self, first: int, second: int) -> MotionkitError:
+        names = f"{self.name(first)} and {self.name(second)}"
+        return self.fault(f"two skeletons, below {names}; expected one character per file")
 
     def unmoved(self, hips: int) -> bool:
         """Whether there are meshes, and none of them moves with the hips, by a skin or as a part below them."""
@@ -204,13 +230,16 @@ class GltfNodes:
                     raise self.fault("a mesh whose vertices are bound to joints that its skin does not have")
                 yield skin, places, which, weights
 
-    def bound(self) -> set[int]:
-        """The nodes that vertices move with, as far as meshes can be read."""
-        out: set[int] = set()
+    def shares(self, *groups: set[int]) -> Array:
+        """The shares (N, G) of groups of nodes in how each vertex moves, as far as meshes can be read."""
+        out = [np.zeros((0, len(groups)), np.float32)]
         with contextlib.suppress(MotionkitError):
             for skin, _, which, weights in self.vertices():
-                out.update(skin["joints"][joint] for joint in np.unique(which[weights > 0.0]))
-        return out
+                nodes = np.array(skin["joints"])[which]
+                parts = [(weights * np.isin(nodes, list(group))).sum(axis=1) for group in groups]
+                whole = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+                out.append(np.stack(parts, axis=1) / whole)
+        return np.concatenate(out)
 
     def names(self, nodes: list[int]) -> tuple[str, ...]:
         """Unique names of joints that a BVH file can hold."""

@@ -66,6 +66,9 @@ _SPINE_WORDS = re.compile(
     r"spine|back|chest|abdomen|torso|waist|belly|stomach|trunk|thorax|lumbar", re.IGNORECASE
 )
 
+# Parts that show a limb, whichever of its joints a skin has.
+_LIMB_PARTS = {"leg": ("thigh", "leg", "shin", "foot"), "arm": ("arm", "upperarm", "forearm", "hand")}
+LIMBS = {(side, limb) for side in ("Left", "Right") for limb in _LIMB_PARTS}
 _NEEDED = tuple(f"{side}{part}" for side in ("Left", "Right") for part in ("UpLeg", "Leg", "Arm", "ForeArm"))
 # Ending of a limb joint to its mapped parent, without the side; longer endings come before shorter ones.
 _HANGS = {
@@ -162,11 +165,17 @@ def name_part(name: str) -> tuple[str, str]:
     return "", ""
 
 
+def limb(name: str) -> tuple[str, str]:
+    """Side ("" for none) and limb ("leg", "arm" or "") of a joint name, as far as it tells."""
+    side, part = name_part(name)
+    return side, next((limb for limb, parts in _LIMB_PARTS.items() if part in parts), "")
+
+
 def tables() -> dict[str, Any]:
     """What names mean, as JSON values: a page that maps rigs itself (web/src/demo/rig.js) has no table of its own."""
     return {
         "tokens": _TOKENS.pattern, "sided": _SIDED_WORD.pattern, "sides": SIDES, "helpers": _HELPERS,
-        "parts": PARTS, "spine": SPINE_SHARES, "needed": _NEEDED, "hangs": _HANGS,
+        "limbParts": _LIMB_PARTS, "parts": PARTS, "spine": SPINE_SHARES, "needed": _NEEDED, "hangs": _HANGS,
     }  # fmt: skip
 
 

@@ -16,10 +16,12 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
 from motionkit.reading import report_notes
 from motionkit.rig.built_in import rig_file
-from motionkit.rig.character import read_character
+from motionkit.rig.character import Character, read_character
 from motionkit.rig.map_file import read_rig_map
+from motionkit.rig.names import RigMap
 from motionkit.rig.pose import map_file
 from motionkit.rig.read_file import is_gltf, read_file
+from motionkit.rig.rest_pose import SIDES
 from motionkit.rig.retarget import RetargetReport, retarget
 from motionkit.rig.rig import Rig, make_rig, top_joint
 from motionkit.rig.to_rig import rig_bvh
@@ -48,11 +50,29 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
         joints = joints or map_file(found.bvh({0}))
         if found.tree.unmoved(found.nodes[joints.places["Hips"]]):
             report_notes(path, ("meshes that no skin binds to its bones, so they will not move",))
-        top, skin = top_joint(found.skeleton, joints), found.tree.bound()
-        # Skin of the root bone, or of a prop below it, would stay behind if the hips alone moved.
-        beside = {node for j, node in enumerate(found.nodes) if not found.skeleton.descends(j, top)}
-        bvh = found.bvh({0} if skin & beside else {0, top})
-        return replace(make_rig(bvh, path.name, joints), character=found)
+        whole, under = _along(found, joints)
+        bvh = found.bvh({0} if whole else {0, top_joint(found.skeleton, joints)})
+        return replace(make_rig(bvh, path.name, joints), character=found, under=under)
+
+
+def _along(found: Character, joints: RigMap) -> tuple[bool, bool]:
+    """Whether the first joint goes wherever the hips go, and whether it goes along under them (Rig.under).
+
+    Skin of the root bone, or of a prop below it, would stay behind if the hips alone moved. If it is skin of feet, as
+    some percent of a heel may be by mistake, a root that sinks with the hips would press it through the floor.
+    """
+    skeleton, top = found.skeleton, top_joint(found.skeleton, joints)
+    ankles = [joint for side in SIDES if (joint := joints.places.get(f"{side}Foot")) is not None]
+    beside, feet = (
+        {node for joint, node in enumerate(found.nodes) if is_one(joint)}
+        for is_one in (
+            lambda joint: not skeleton.descends(joint, top),
+            lambda joint: any(skeleton.descends(joint, ankle) for ankle in ankles),
+        )
+    )
+    shares = found.tree.shares(beside, feet)
+    of_feet = shares[shares[:, 0] > 0.0, 1] > 0.5
+    return bool(len(of_feet)) and not of_feet.all(), bool(len(of_feet)) and bool(of_feet.all())
 
 
 def from_rig(motion: Motion, rig: Rig) -> Motion:

@@ -43,9 +43,9 @@ class Rig:
         leg: thigh plus shin in file units.
         stance: height of standing toes, or of ankles without toes, in cm of a body with canonical legs; None if the
             file does not show it.
-        fps: frame rate of the file.
         notes: notes on its axes and rest pose.
         character: the .glb or .vrm file that it is from, into which motion on it is written; else None.
+        under: whether the first joint goes along under the hips: over the ground, and up with them but not down.
     """
 
     name: str
@@ -57,9 +57,9 @@ class Rig:
     differences: Array
     leg: float
     stance: float | None
-    fps: float
     notes: tuple[str, ...]
     character: Character | None = None
+    under: bool = False
 
     @property
     def scale(self) -> float:
@@ -106,7 +106,6 @@ def make_rig(bvh: BvhFile, name: str, joints: RigMap | None = None) -> Rig:
         pose.differences,
         leg,
         _stance(pose, scale),
-        bvh.fps,
         pose_notes(pose),
     )
 

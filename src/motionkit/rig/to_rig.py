@@ -220,14 +220,24 @@ def _kept(rig: Rig, frames: int, clip: Motion | None) -> tuple[Doubles, Doubles]
 
 
 def _move(rig: Rig, places: Doubles, turned: Doubles, hips: Doubles) -> None:
-    """Move the body so that its hips are at hips (T, 3), by the local positions of one joint, changed in place."""
+    """Move the body so that its hips are at hips (T, 3), by local positions, changed in place."""
     skeleton = rig.skeleton
-    moved = mover(skeleton, rig.channels, rig.joints)
-    assert moved is not None  # make_rig has checked it
     now = places[:, 0]
     for joint in skeleton.between(0, rig.joints.places["Hips"]):
         now = now + quat_rotate(turned[:, skeleton.parents[joint]], places[:, joint])
-    shift = hips - now
-    if skeleton.parents[moved] >= 0:
-        shift = quat_rotate(quat_inverse(turned[:, skeleton.parents[moved]]), shift)
-    places[:, moved] += shift
+    carry(rig, places, turned, hips - now)
+
+
+def carry(rig: Rig, places: Array, turned: Array, shift: Array) -> None:
+    """Move the body by shift (T, 3): the local positions (T, J, 3) of those joints that carry it, in place.
+
+    turned (T, J, 4) are the joints' global rotations.
+    """
+    moved = mover(rig.skeleton, rig.channels, rig.joints)
+    assert moved is not None  # make_rig has checked it
+    if rig.under:
+        down = np.minimum(shift @ rig.up, 0.0)[:, None] * rig.up
+        places[:, 0] += shift - down
+        shift = down
+    above = rig.skeleton.parents[moved]
+    places[:, moved] += shift if above < 0 else quat_rotate(quat_inverse(turned[:, above]), shift)

@@ -1,7 +1,7 @@
 """Data by which a page poses a user's character: its nodes that follow the joints of a figure (web/src/lib/hero.js).
 
-In the world, a node turns as its joint times a constant rotation. Then nodes are moved so that joints are in place, and
-twist is spread.
+In the world, a node turns as its joint times a constant rotation. Then twist is spread, and nodes are moved so that
+joints are in place; one that goes along under the hips (Rig.under) is moved first, from its rest pose and not down.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def character_joints(character: Character, moving: Iterable[int], scale: float, 
     return {
         **_placement(scale, up),
         "drives": [[node, joint, *_numbers(turns[joint])] for joint, node in enumerate(nodes)],
-        "moves": [[nodes[joint], nodes[joint], joint] for joint in moving],
+        "moves": [[nodes[joint], nodes[joint], joint, False] for joint in moving],
     }
 
 
@@ -55,6 +55,7 @@ def rig_joints(rig: Rig, raised: Array, lift: Array) -> dict[str, Any]:
     character, moved = rig.character, mover(rig.skeleton, rig.channels, rig.joints)
     assert character is not None and moved is not None  # make_rig has checked it
     nodes, turns, back = character.nodes, character.turns, quat_inverse(rig.differences).astype(np.float64)
+    place = [nodes[rig.joints.places["Hips"]], JOINT_NAMES.index("Hips")]
 
     def axis(joint: int, direction: Array) -> list[float]:
         return _numbers(quat_rotate(quat_inverse(character.axes[joint]), direction))
@@ -65,7 +66,7 @@ def rig_joints(rig: Rig, raised: Array, lift: Array) -> dict[str, Any]:
             [nodes[joint], carrier, *_numbers(quat_multiply(back[carrier], turns[joint]))]
             for joint, carrier in sorted(turning_joints(rig).items())
         ],
-        "moves": [[nodes[moved], nodes[rig.joints.places["Hips"]], JOINT_NAMES.index("Hips")]],
+        "moves": [[nodes[0], *place, True]] * rig.under + [[nodes[moved], *place, False]],
         "raised": _numbers(raised / 100.0),
         "lift": _numbers(lift / 100.0),
         "twists": [

@@ -1,7 +1,8 @@
 // The canonical joints of a character's nodes, as rig/gltf_nodes.py and rig/names.py find them, by their tables.
 
 /** The joints of a .glb's JSON: nodes of the skeleton with parents first, their names and parents, and the avatar's own table. */
-export function findJoints({ nodes = [], skins = [], extensions = {} }, { bones }) {
+export function findJoints({ nodes = [], skins = [], extensions = {} }, tables) {
+  const { bones } = tables;
   const above = nodes.map(() => -1);
   nodes.forEach(({ children = [] }, node) => children.forEach((child) => (above[child] = node)));
   const order = [];
@@ -19,6 +20,7 @@ export function findJoints({ nodes = [], skins = [], extensions = {} }, { bones 
   for (const node of wanted) (byTop[tops[node]] ??= []).push(node);
   const [main, other] = Object.values(byTop).sort((a, b) => b.length - a.length);
   if (other && 2 * other.length >= main.length) throw new Error("it has two skeletons, expected one character");
+  checkSkins(nodes, skins, above, tables);
   const below = nodes.map((_, node) => Number(main.includes(node)));
   for (const node of [...order].reverse()) if (above[node] >= 0) below[above[node]] += below[node];
   const inside = [order.filter((node) => below[node] === main.length).at(-1)];
@@ -31,6 +33,21 @@ export function findJoints({ nodes = [], skins = [], extensions = {} }, { bones 
     avatar: Object.fromEntries(avatar.map(([ours, node]) => [ours, number.get(node)])),
   };
 }
+
+// Throws for two skins of different people below one node, as gltf_nodes.py's _check_skins.
+function checkSkins(nodes, skins, above, tables) {
+  const path = (node) => (node < 0 ? [] : [...path(above[node]), node]);
+  const words = wordsOf(tables);
+  const limbs = ({ joints }) => new Set(joints.map((node) => {
+    const [side, part] = namePart(nodes[node].name ?? "", { ...tables, words });
+    return side + Object.keys(tables.limbParts).find((limb) => tables.limbParts[limb].includes(part));
+  }));
+  const people = skins.filter((skin) => ["Left", "Right"].every((side) => Object.keys(tables.limbParts).every((limb) => limbs(skin).has(side + limb))));
+  const shared = people.map(({ joints: [first, ...others] }) => path(first).filter((node) => others.every((other) => path(other).includes(node))));
+  if (shared.some((one) => shared.some((other) => one.some((node, n) => n < other.length && other[n] !== node)))) throw new Error("it has two skeletons, expected one character");
+}
+
+const wordsOf = ({ parts }) => Object.fromEntries(Object.entries(parts).flatMap(([part, all]) => all.map((word) => [word, part])));
 
 /** Side and part of a joint's name, as names.py's name_part. */
 function namePart(name, { tokens, sided, sides, helpers, words }) {
@@ -53,7 +70,7 @@ export function mapJoints({ names, parents, avatar }, rest, tables) {
 
 class Mapper {
   constructor(names, parents, rest, tables) {
-    const words = Object.fromEntries(Object.entries(tables.parts).flatMap(([part, all]) => all.map((word) => [word, part])));
+    const words = wordsOf(tables);
     Object.assign(this, { names, parents, rest, tables, places: {} });
     this.parts = names.map((name) => namePart(name, { ...tables, words }));
     this.paths = [];

@@ -3,7 +3,7 @@
 
 import { Matrix4, Quaternion, Vector3 } from "three";
 import { mapJoints } from "./joints.js";
-import { solesOf } from "./soles.js";
+import { skinBeside, solesOf } from "./soles.js";
 
 const CM = 0.01;
 const UP = new Vector3(0, 1, 0);
@@ -35,7 +35,10 @@ export function rigOf(read, joints, tables) {
     return [joints.nodes[joint], carrier, w, x, y, z];
   });
   const twists = rest.twists(path, (joint, way) => rotated(world(objects[joint].parent).invert(), way).toArray());
-  const moves = [[joints.nodes[top], joints.nodes[map.Hips], 0]];
+  const bones = (chosen) => new Set(joints.nodes.flatMap((node, joint) => (chosen(path(joint)) ? [read.nodes[node]] : [])));
+  const beside = skinBeside(read, bones((above) => !above.includes(top)), bones((above) => above.includes(map.LeftFoot) || above.includes(map.RightFoot)));
+  const moving = !beside.any ? [[top, false]] : beside.ofFeet ? [[0, true], [top, false]] : [[0, false]];
+  const moves = moving.map(([joint, under]) => [joints.nodes[joint], joints.nodes[map.Hips], 0, under]);
   const { raised, offsets, part, expected, standing } = rest.stand();
   const soles = solesOf(read, joints, rest, part);
   const lift = (soles ? soles.depth : standing) - expected;

@@ -25,20 +25,32 @@ export function solesOf(read, joints, rest, part) {
   return sides.includes(null) ? null : { parts: sides.flatMap(({ parts }) => parts), depth: (sides[0].depth + sides[1].depth) / 2 };
 }
 
+/** Whether skin moves with bones beside the body, and whether all such is skin of feet; as _along of rig/on_rig.py. */
+export function skinBeside(read, beside, feet) {
+  const of = [];
+  eachVertex(read, (share) => share(beside) > 0 && of.push(share(feet) > 0.5));
+  return { any: of.length > 0, ofFeet: of.every(Boolean) };
+}
+
 // The vertices in the rest pose of which more than half moves with the bones of a foot, and whether half moves with its toes.
 function vertices(read, foot, toes) {
   const out = [];
+  eachVertex(read, (share, mesh, vertex) => {
+    if (share(foot) <= 0.5) return;
+    const point = mesh.applyBoneTransform(vertex, new Vector3().fromBufferAttribute(mesh.geometry.attributes.position, vertex));
+    out.push({ point: mesh.localToWorld(point), moving: share(toes) >= 0.5 });
+  });
+  return out;
+}
+
+// Calls a function with each vertex of a skin, and a function that says what share of it moves with some bones.
+function eachVertex(read, visit) {
   for (const scene of read.scenes) scene.traverse((mesh) => {
     if (!mesh.isSkinnedMesh) return;
     const { position, skinIndex, skinWeight } = mesh.geometry.attributes;
-    const share = (bones, vertex) => [0, 1, 2, 3].reduce((sum, k) => sum + (bones.has(mesh.skeleton.bones[skinIndex.getComponent(vertex, k)]) ? skinWeight.getComponent(vertex, k) : 0), 0);
-    for (let vertex = 0; vertex < position.count; vertex++) {
-      if (share(foot, vertex) <= 0.5) continue;
-      const point = mesh.applyBoneTransform(vertex, new Vector3().fromBufferAttribute(position, vertex));
-      out.push({ point: mesh.localToWorld(point), moving: share(toes, vertex) >= 0.5 });
-    }
+    const share = (vertex) => (bones) => [0, 1, 2, 3].reduce((sum, k) => sum + (bones.has(mesh.skeleton.bones[skinIndex.getComponent(vertex, k)]) ? skinWeight.getComponent(vertex, k) : 0), 0);
+    for (let vertex = 0; vertex < position.count; vertex++) visit(share(vertex), mesh, vertex);
   });
-  return out;
 }
 
 function outermost(points) {

@@ -24,6 +24,8 @@ export async function readCharacter(bytes) {
   const loader = new GLTFLoader().setMeshoptDecoder(meshopt);
   loader.register((parser) => new VRMLoaderPlugin(parser, { autoUpdateHumanBones: false }));
   const read = await loader.parseAsync(bytes, "");
+  // The toon shader of avatars works tangents out itself, and does not compile with those of a mesh.
+  read.scene.traverse(({ geometry, material }) => [material].flat().some((one) => one?.isMToonMaterial) && geometry.deleteAttribute("tangent"));
   read.nodes = await Promise.all((read.parser.json.nodes ?? []).map((_, n) => read.parser.getDependency("node", n)));
   return read;
 }
@@ -50,6 +52,7 @@ export class Hero extends Group {
     });
     for (const { node, world } of this.steps) this.worlds.set(node, world);
     this.rests = read.nodes.map((node) => node.quaternion.clone());
+    this.places = new Map(moves.map(([node]) => [node, read.nodes[node].position.clone()]));
   }
 
   /** @param {import("./rig.js").Pose} pose */
@@ -64,10 +67,11 @@ export class Hero extends Group {
     }
     this.twists.forEach((twist) => this.#spread(twist));
     this.parent.updateWorldMatrix(true, false);
-    for (const [node, marked, joint] of this.moves) {
+    for (const [node, rest] of this.places) this.nodes[node].position.copy(rest);
+    for (const [node, marked, joint, under] of this.moves) {
       place.fromArray(this.raised).applyQuaternion(rotations[joint]);
       place.add(places[joint]).add(mark.fromArray(this.lift)).applyMatrix4(this.parent.matrixWorld);
-      this.#move(this.nodes[node], this.nodes[marked]);
+      this.#move(this.nodes[node], this.nodes[marked], under);
     }
     if (this.vrm) this.#springs();
   }
@@ -82,11 +86,12 @@ export class Hero extends Group {
     for (const [other, share, ...way] of shares) this.nodes[other].quaternion.copy(twisted(share, way)).multiply(this.rests[other]);
   }
 
-  // Moves a node so that another one is at `place` in the world.
-  #move(node, marked) {
+  // Moves a node so that another one is at `place` in the world, or under it: not down.
+  #move(node, marked, under) {
     marked.updateWorldMatrix(true, false);
-    mark.setFromMatrixPosition(node.matrixWorld).add(place).sub(there.setFromMatrixPosition(marked.matrixWorld));
-    node.position.copy(node.parent.worldToLocal(mark));
+    mark.copy(place).sub(there.setFromMatrixPosition(marked.matrixWorld));
+    if (under) mark.y = Math.max(0, mark.y);
+    node.position.copy(node.parent.worldToLocal(mark.add(there.setFromMatrixPosition(node.matrixWorld))));
   }
 
   // Hair and clothes of an avatar go on by the time since the last picture.
