@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import weakref
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,7 @@ from motionkit.errors import MotionkitError
 from motionkit.features.reference import PoseEmbedding
 from motionkit.metrics.distribution import diversity, frechet_distance, multimodality, window_features
 from motionkit.metrics.sets import set_metrics
+from motionkit.motion.motion import Motion
 
 from .conftest import placed, swaying
 
@@ -76,3 +80,19 @@ def test_one_short_motion_is_too_little_for_a_distribution() -> None:
     distance, spread = set_metrics([swaying(frames=40)], [swaying(frames=40, seed=1)])
     assert distance.motion.value is None and "2 windows" in str(distance.motion.reason)
     assert spread.motion.value is None
+
+
+def test_a_thousand_motions_are_never_in_memory_together() -> None:
+    """Each motion is gone before the one after the next is read."""
+    seen: list[weakref.ref[Motion]] = []
+
+    def motions() -> Iterator[Motion]:
+        for number in range(6):
+            motion = swaying(90, seed=number)
+            seen.append(weakref.ref(motion))
+            yield motion
+            del motion
+            assert sum(one() is not None for one in seen) <= 1
+
+    set_metrics(motions(), motions())
+    assert len(seen) == 12

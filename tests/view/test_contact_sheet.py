@@ -86,6 +86,27 @@ def test_a_foot_without_toes_is_looked_at_where_they_would_be() -> None:
     assert joints == ["LeftFoot", "RightFoot"]
 
 
+@pytest.mark.parametrize(
+    ("end", "share"),
+    [
+        ((0.0, 22.0, 0.0), 0.575),
+        ((0.0, 20.0, 9.0), 0.575),
+        ((0.0, 8.0, 0.0), 0.0),
+        ((18.0, -2.0, 0.0), 0.0),
+        ((0.0, 60.0, 0.0), 0.0),
+    ],
+)
+def test_a_head_reaches_its_top(end: tuple[float, float, float], share: float) -> None:
+    """A skull below the top that continues the neck; around the joint if the top is near, sideways or a plume."""
+    motion = standing()
+    head = motion.skeleton.index("Head")
+    ends = motion.skeleton.end_sites | {head: end}
+    figure = motion_figure(replace(motion, skeleton=replace(motion.skeleton, end_sites=ends)))
+    assert figure.skull is not None and figure.head == head
+    middle = figure.positions[:, figure.skull] - figure.positions[:, head]
+    assert np.allclose(middle, share * np.array(end), atol=0.2)
+
+
 def test_pushed_feet_slide_and_lifted_feet_do_not() -> None:
     pushed = motion_figure(standing(travel=3.0))
     foot = pushed.feet["left"]

@@ -87,13 +87,16 @@ class Measuring:
         how = (self.settings, self.skip, self.align_start, scales, self.rates, self.given)
         return evaluate_files(truth, made, *how)
 
-    def of_sets(self, measured: Sequence[PairResult]) -> tuple[MetricRow, ...]:
+    def of_sets(self, measured: Sequence[PairResult], show: Stages) -> tuple[MetricRow, ...]:
         """The metrics of all pairs, compared as sets."""
         from motionkit.metrics.sets import set_metrics_of_files
 
         files = [(r.ground_truth, r.generated) for r in measured if r.report and r.generated]
         scales = (self.scale, self.generated_scale)
-        return set_metrics_of_files(files, scales, self.rates, self.skip, self.given) if files else ()
+        if not files:
+            return ()
+        progress = show.count("comparing", 2 * len(files))
+        return set_metrics_of_files(files, scales, self.rates, self.skip, self.given, progress)
 
 
 @click.command(
@@ -187,7 +190,8 @@ def command(
         pairs, lonely = find_pairs(ground_truth, generated) if ground_truth else (list(given_pairs), [])
         with Stages() as show:
             results = _measured(pairs, measuring, jobs, show)
-        _tell_many(results, measuring.of_sets(results), lonely, as_json, as_csv)
+            sets = measuring.of_sets(results, show)
+        _tell_many(results, sets, lonely, as_json, as_csv)
         return
     from motionkit.metrics.pairs import PairResult, csv_text
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,22 +21,23 @@ from motionkit.rig.canonical import load_canonical
 EMBEDDED_IN: dict[str, float | str] = {"features": "pose embedding of the ground truth"}
 
 
-def set_metrics(truths: Sequence[Motion], made: Sequence[Motion]) -> tuple[MetricRow, ...]:
+def set_metrics(truths: Iterable[Motion], made: Iterable[Motion]) -> tuple[MetricRow, ...]:
     """Measure "fid-pose" and "diversity" of sets of motions on the canonical joints, in cm.
 
     The pose embedding is fitted to the ground truth (features/reference.py). So values are comparable between models
-    that are measured against the same recordings.
+    that are measured against the same recordings. Motions are taken one by one; features of the ground truth stay in
+    memory.
 
     Returns:
         Rows whose ground truth is the set of recordings. If a set has fewer than two windows, rows have a reason
         instead of a value.
     """
-    recorded, generated = (_features(each) for each in (truths, made))
+    recorded = list(_features(truths))
     frames = np.concatenate(recorded)
     embedding = fit_pose_embedding(frames, np.ones(len(frames), np.float32), feature_layout(DEFAULT_LAYOUT))
     real, drawn = (
         np.concatenate([window_features(each, embedding) for each in features])
-        for features in (recorded, generated)
+        for features in (recorded, _features(made))
     )
     distance = _value("fid-pose", lambda: frechet_distance(drawn, real))
     return (
@@ -53,20 +54,25 @@ def set_metrics_of_files(
     rates: tuple[float | None, float | None] = (None, None),
     skip: int = 0,
     given: int = 0,
+    progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[MetricRow, ...]:
-    """Measure sets of BVH files of any rig, in pairs (ground truth, generated); arguments as for evaluate_files."""
+    """Measure sets of files of any rig, in pairs (ground truth, generated); arguments as for evaluate_files.
+
+    progress is called with the number of files read, up to twice the number of pairs.
+    """
     starts = skip + given, skip
 
-    def motion(path: Path, side: int) -> Motion:
-        whole = resample(load_canonical(path, scales[side], rates[side])[0], FRAME_RATE)
-        return whole.cut(starts[side], len(whole))
+    def motions(side: int) -> Iterator[Motion]:
+        for number, pair in enumerate(pairs, side * len(pairs) + 1):
+            whole = resample(load_canonical(pair[side], scales[side], rates[side])[0], FRAME_RATE)
+            yield whole.cut(starts[side], len(whole))
+            progress(number)
 
-    truths, made = ([motion(pair[side], side) for pair in pairs] for side in (0, 1))
-    return set_metrics(truths, made)
+    return set_metrics(motions(0), motions(1))
 
 
-def _features(motions: Sequence[Motion]) -> list[Array]:
-    return [encode_motion(resample(each, FRAME_RATE)).features for each in motions]
+def _features(motions: Iterable[Motion]) -> Iterator[Array]:
+    return (encode_motion(resample(each, FRAME_RATE)).features for each in motions)
 
 
 def _value(name: str, measure: Callable[[], MetricValue]) -> MetricValue:

@@ -21,6 +21,7 @@ from motionkit.metrics.report import sliding_words
 from motionkit.motion.motion import Motion
 from motionkit.names import counted
 from motionkit.view.contact_sheet_geometry import (
+    HEAD_RADIUS,
     Figure,
     camera_angle,
     low_frames,
@@ -276,17 +277,17 @@ def _draw_figure(canvas: _Canvas, figure: Figure, points: NDArray[np.float64], s
         return
     depth = {bone: float(points[list(bone), 2].mean()) for bone in figure.bones}
     near, far = max(depth.values()), min(depth.values())
-    head = max(3.0, 0.055 * figure.stature * scale)
+    head = max(3.0, HEAD_RADIUS * figure.stature * scale)
     order: list[tuple[float, tuple[int, int] | None]] = [(d, bone) for bone, d in depth.items()]
-    if figure.head is not None:
-        order.append((float(points[figure.head, 2]) + 1e-6, None))
+    if figure.skull is not None:
+        order.append((float(points[figure.skull, 2]) + 1e-6, None))
     for where, bone in sorted(order, key=lambda item: item[0]):
         pale = 0.45 * (near - where) / max(near - far, 1e-9)
         if bone is None:
-            assert figure.head is not None
+            assert figure.skull is not None
             canvas.dot(
-                points[figure.head, 0],
-                points[figure.head, 1],
+                points[figure.skull, 0],
+                points[figure.skull, 1],
                 head,
                 _lighter(SIDE_COLORS[""], 0.7),
                 SIDE_COLORS[""],

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.arrays import normalized
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
@@ -26,6 +27,8 @@ BALL = 0.65  # from the ankle to the end of a foot
 # Share of the stature. A joint whose distance to its parent varies by more has no bone, such as hips below a root that
 # stays on the floor.
 LOOSE_SHARE = 0.2
+HEAD_RADIUS, TALLEST_HEAD = 0.055, 0.2  # shares of the stature
+UPWARD = 0.5  # cosine between neck and skull; the ends of some heads point sideways
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +36,11 @@ class Figure:
     """A motion as world points and bones.
 
     Attributes:
-        positions: (T, N, 3) joints, then end sites and balls of feet; axis 1 is up, lengths in the motion's unit.
+        positions: (T, N, 3) joints, then end sites, balls of feet and, if there is a head, its middle; axis 1 is up.
         bones: pairs of point indices, parent first.
         sides: "left", "right" or "" for each point.
         hips: index of the point that is drawn as the root.
-        head: index of the head's point, or None.
+        head: index of the head's joint, or None.
         feet: side -> index of the foot's point: its toes, or the ball of a foot without toes.
         floor: height of the ground line.
         floor_is_zero: whether the floor is at zero; else it is at the lowest point of the body.
@@ -65,6 +68,11 @@ class Figure:
         """Positions (T, 3) of the root; of the hips if the root stays on the floor."""
         return self.positions[:, self.hips]
 
+    @property
+    def skull(self) -> int | None:
+        """Index of the middle of the head; the joint lies there, or where the neck ends."""
+        return None if self.head is None else self.positions.shape[1] - 1
+
     def unit(self) -> tuple[str, float]:
         """The motion's unit: its symbol and its length in cm."""
         return unit_symbol(self.cm), self.cm
@@ -91,6 +99,12 @@ def motion_figure(motion: Motion) -> Figure:
     for side, ball in _balls(places, ends, points, size).items():
         feet[side], points_sides = points.shape[1], (*points_sides, side)
         points = np.concatenate([points, ball[:, None]], axis=1)
+    head = _head(places, skeleton.names)
+    if head is not None:
+        below = [end for start, end in bones if start == head]
+        neck = max(skeleton.parents[head], 0)
+        points = np.concatenate([points, _skull(points, neck, head, below, size)[:, None]], axis=1)
+        points_sides = (*points_sides, "")
     floor, floor_is_zero = _floor(points, size)
     hips = _hips(points, skeleton.parents, floor, size)
     base = range(hips + 1) if hips else range(0)  # bones from the floor to the hips do not belong to the body
@@ -99,7 +113,7 @@ def motion_figure(motion: Motion) -> Figure:
         tuple(bone for bone in bones if not _is_loose(points, bone, size) and bone[1] not in base),
         points_sides,
         hips,
-        _head(places, skeleton.names),
+        head,
         feet,
         floor,
         floor_is_zero,
@@ -140,6 +154,18 @@ def _head(places: dict[str, int], names: tuple[str, ...]) -> int | None:
     necks = [i for i, name in enumerate(names) if re.search(r"neck", name, re.IGNORECASE)]
     found = heads or necks
     return found[-1] if found else None
+
+
+def _skull(points: Array, neck: int, head: int, below: list[int], stature: float) -> Array:
+    """The middle (T, 3) of a head of HEAD_RADIUS whose top is the furthest end that goes on from the neck."""
+    up, middle = normalized(points[:, head] - points[:, neck]), points[:, head]
+    furthest = HEAD_RADIUS * stature
+    for end in below:
+        bone = points[:, end] - points[:, head]
+        size = float(np.linalg.norm(bone[0]))
+        if furthest < size < TALLEST_HEAD * stature and np.median((up * normalized(bone)).sum(-1)) > UPWARD:
+            furthest, middle = size, points[:, head] + (1.0 - HEAD_RADIUS * stature / size) * bone
+    return middle
 
 
 def _feet(

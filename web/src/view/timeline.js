@@ -219,25 +219,27 @@ export class Timeline {
   #values(pen, row, time, x) {
     pen.font = "600 11px system-ui, sans-serif";
     pen.textBaseline = "top";
-    const right = x > this.width - 130;
-    pen.textAlign = right ? "right" : "left";
+    pen.textAlign = "left";
     const texts = row.curves.map(({ clip, color, values, factor }) => {
       const value = values[clip.frameAt(time)] * factor;
-      return [color, factor > 1 ? value.toFixed(1) : value.toFixed(2), value];
+      const text = factor > 1 ? value.toFixed(1) : value.toFixed(2);
+      return [color, text, value, pen.measureText(text).width];
     });
-    let at = x + (right ? -8 : 8);
-    for (const [color, text, value] of texts) {
-      const width = pen.measureText(text).width;
+    // Beside the cursor, or as far to the left as all need to be seen.
+    const all = texts.reduce((sum, [, , , width]) => sum + width + 10, 0);
+    let at = x + 8 + all > this.width ? x - 8 - all : x + 8;
+    if (at < LEFT) at = Math.max(2, Math.min(x + 8, this.width - all));
+    for (const [color, text, value, width] of texts) {
       pen.fillStyle = this.look["panel-solid"];
       pen.globalAlpha = 0.8;
-      pen.fillRect(right ? at - width - 2 : at - 2, row.top + 1, width + 4, 14);
+      pen.fillRect(at - 2, row.top + 1, width + 4, 14);
       pen.globalAlpha = 1;
       pen.fillStyle = color;
       pen.fillText(text, at, row.top + 2);
       pen.beginPath();
       pen.arc(x, row.y(value), 3, 0, 7);
       pen.fill();
-      at += (right ? -1 : 1) * (width + 10);
+      at += width + 10;
     }
   }
 
