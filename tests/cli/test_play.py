@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from motionkit.cli.play import _visible_log
+from synthetic_characters import CHARACTERS, skinned
 
 COMMAND = [sys.executable, "-m", "motionkit", "play", "--no-open"]
 PATIENCE = 150  # seconds; starting takes long on a slow and busy machine
@@ -53,6 +54,20 @@ def test_it_serves_until_it_is_stopped(play: Callable, number: signal.Signals) -
         out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert err.strip().splitlines()[-1] == "stopped" and "Traceback" not in err and out == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "kind"),
+    [("a.glb", (), "glb"), ("a.VRM", (), "vrm"), ("a.glb", ("--format", "bvh"), "bvh")],
+)
+def test_recordings_are_the_character_by_default(
+    play: Callable, tmp_path: Path, name: str, words: tuple[str, ...], kind: str
+) -> None:
+    (tmp_path / name).write_bytes(skinned(CHARACTERS["vrm1"]()))
+    options = ("--port", "0", "--tcp", "0", "--headless", "--json", "--rig", str(tmp_path / name))
+    told = addresses(play(*options, *words))
+    with socket.create_connection(tuple(told["tcp"]), PATIENCE) as client, client.makefile("r") as lines:
+        assert json.loads(lines.readline())["recording_format"] == kind
 
 
 @pytest.mark.parametrize("option", ["--port", "--tcp"])

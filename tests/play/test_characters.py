@@ -98,6 +98,15 @@ def unseen(value: dict[str, Any]) -> None:
     del value["meshes"], value["nodes"][-1]["mesh"]
 
 
+def loose(value: dict[str, Any]) -> None:
+    del value["skins"], value["nodes"][-1]["skin"]
+
+
+def apart(value: dict[str, Any]) -> None:
+    value["nodes"].append({"name": ["no", "text"]})
+    value["skins"][0]["joints"].append(len(value["nodes"]) - 1)
+
+
 def two(value: dict[str, Any]) -> None:
     two_below_one(value)
     value["nodes"][-2]["skin"] = 1
@@ -107,6 +116,10 @@ FAULTS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "no skeleton": (bare, "no skeleton"),
     "no mesh": (unseen, "no meshes"),
     "circle": (circular, "circle"),
+    "no skin": (loose, "no skin binds its meshes"),
+    "joint without node": (lambda value: value["skins"][0]["joints"].append(99), "no nodes of the file"),
+    "no node": (lambda value: value["nodes"].append(None), "no lists of objects"),
+    "two trees": (apart, "in two trees"),
     "two": (two, "two skeletons"),
     "no leg": (renamed, "looked for a side (left, right, L, R) with thigh"),
     "elsewhere": (lambda value: value["buffers"][0].update(uri="hero.bin"), "another file"),

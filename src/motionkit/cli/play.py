@@ -20,6 +20,7 @@ from motionkit.cli.synthesis_options import reference_option
 
 if TYPE_CHECKING:
     from motionkit.play.server import Addresses
+    from motionkit.rig.rig import Rig
 
 
 def _target(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, int] | None:
@@ -57,7 +58,7 @@ class Listening:
     port: int
     tcp: int | None
     vmc: tuple[str, int] | None
-    recording_format: str
+    recording_format: str | None
     headless: bool
     no_open: bool
     as_json: bool
@@ -77,6 +78,13 @@ class Listening:
             remark("Ctrl-C stops the server")
         if not self.headless and not self.no_open:
             open_in_browser(addresses.url)
+
+
+def _usual_format(rig: Rig | None) -> str:
+    """The format of recordings that keeps what is steered."""
+    if rig is None or rig.character is None:
+        return "bvh"
+    return "vrm" if rig.name.lower().endswith(".vrm") else "glb"
 
 
 @click.command("play")
@@ -108,12 +116,11 @@ class Listening:
     "--vmc", metavar="HOST:PORT", callback=_target, help="Also send one character as VMC (OSC over UDP)."
 )
 @rig_options
-@option(
+@click.option(
     "--format",
     "recording_format",
     type=click.Choice(FORMATS),
-    default="bvh",
-    help="Format of recordings; programs may ask for another one.",
+    help="Format of recordings; programs may ask for another one. By default that of the character of --rig, else bvh.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON.")
 @gathered("listening", Listening)
@@ -158,7 +165,7 @@ def command(
         not listening.headless,
         choice.rig,
         choice.clip,
-        listening.recording_format,
+        listening.recording_format or _usual_format(choice.rig),
     )
     with _visible_log():
         try:

@@ -66,8 +66,10 @@ function split(bytes) {
   }
 }
 
-// Nodes are a tree, and all bytes lie in the file.
-function checkTree({ nodes = [], buffers = [] }) {
+// Nodes are a tree, skins have joints among them, and all bytes lie in the file.
+function checkTree({ nodes = [], skins = [], buffers = [] }) {
+  if (![nodes, skins, buffers].every((list) => Array.isArray(list) && list.every((one) => one && typeof one === "object"))) throw new Error("its nodes, skins or buffers are no lists of objects");
+  if (!skins.every(({ joints }) => Array.isArray(joints) && joints.every((joint) => nodes[joint]))) throw new Error("a skin has joints that are no nodes of the file");
   const children = nodes.flatMap((node) => node.children ?? []);
   if (new Set(children).size < children.length || children.some((child) => !nodes[child])) throw new Error("its nodes are no tree");
   const roots = nodes.flatMap((_, node) => (children.includes(node) ? [] : [node]));

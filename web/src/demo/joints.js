@@ -16,6 +16,7 @@ export function findJoints({ nodes = [], skins = [], extensions = {} }, tables) 
   if (!wanted.size) throw new Error("it has no skeleton, only meshes; rig it first (in Blender, Mixamo or Mesh2Motion)");
   const tops = nodes.map((_, node) => node);
   for (const node of order) if (above[node] >= 0) tops[node] = tops[above[node]];
+  if (skins.some(({ joints }) => new Set(joints.map((node) => tops[node])).size > 1)) throw new Error("a skin has joints in two trees, expected one skeleton");
   const byTop = {};
   for (const node of wanted) (byTop[tops[node]] ??= []).push(node);
   const [main, other] = Object.values(byTop).sort((a, b) => b.length - a.length);
@@ -28,7 +29,7 @@ export function findJoints({ nodes = [], skins = [], extensions = {} }, tables) 
   const number = new Map(inside.map((node, joint) => [node, joint]));
   return {
     nodes: inside,
-    names: inside.map((node) => nodes[node].name ?? ""),
+    names: inside.map((node) => nameOf(nodes[node])),
     parents: inside.map((node) => number.get(above[node]) ?? -1),
     avatar: Object.fromEntries(avatar.map(([ours, node]) => [ours, number.get(node)])),
   };
@@ -39,13 +40,15 @@ function checkSkins(nodes, skins, above, tables) {
   const path = (node) => (node < 0 ? [] : [...path(above[node]), node]);
   const words = wordsOf(tables);
   const limbs = ({ joints }) => new Set(joints.map((node) => {
-    const [side, part] = namePart(nodes[node].name ?? "", { ...tables, words });
+    const [side, part] = namePart(nameOf(nodes[node]), { ...tables, words });
     return side + Object.keys(tables.limbParts).find((limb) => tables.limbParts[limb].includes(part));
   }));
   const people = skins.filter((skin) => ["Left", "Right"].every((side) => Object.keys(tables.limbParts).every((limb) => limbs(skin).has(side + limb))));
   const shared = people.map(({ joints: [first, ...others] }) => path(first).filter((node) => others.every((other) => path(other).includes(node))));
   if (shared.some((one) => shared.some((other) => one.some((node, n) => n < other.length && other[n] !== node)))) throw new Error("it has two skeletons, expected one character");
 }
+
+const nameOf = ({ name }) => (typeof name === "string" ? name : "");
 
 const wordsOf = ({ parts }) => Object.fromEntries(Object.entries(parts).flatMap(([part, all]) => all.map((word) => [word, part])));
 

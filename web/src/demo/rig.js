@@ -25,6 +25,7 @@ export function rigOf(read, joints, tables) {
   const places = objects.map(({ matrixWorld }) => new Vector3().setFromMatrixPosition(matrixWorld));
   const rest = new RestPose(joints, places, mapJoints(joints, places.map((place) => place.toArray()), tables), tables);
   const { differences, map } = rest;
+  if (!movesWith(read.scenes, objects[map.Hips])) throw new Error("no skin binds its meshes to its bones, so they would not move; rig it first (in Blender, Mixamo or Mesh2Motion)");
   const path = (joint) => (joint < 0 ? [] : [...path(joints.parents[joint]), joint]);
   const top = path(map.Hips).filter((joint) => Object.values(map).every((other) => path(other).includes(joint))).at(-1);
   const carriers = new Map(Object.entries(map).map(([name, joint]) => [joint, tables.names.indexOf(name)]));
@@ -44,6 +45,14 @@ export function rigOf(read, joints, tables) {
   const lift = (soles ? soles.depth : standing) - expected;
   const data = { scale: rest.scale * CM, turn: [1, 0, 0, 0], drives, moves, twists, raised: raised.multiplyScalar(CM).toArray(), lift: [0, lift * CM, 0] };
   return { data, kernel: { offsets, soles: soles?.parts ?? [], floor: -lift }, map: Object.fromEntries(Object.entries(map).map(([name, joint]) => [name, joints.names[joint]])) };
+}
+
+// Whether a mesh moves with the hips, by a skin or as a part below them.
+function movesWith(scenes, hips) {
+  let found = false;
+  for (const scene of scenes) scene.traverse((mesh) => (found ||= Boolean(mesh.isSkinnedMesh)));
+  hips.traverse((mesh) => (found ||= Boolean(mesh.isMesh)));
+  return found;
 }
 
 class RestPose {
