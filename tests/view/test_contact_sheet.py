@@ -22,6 +22,7 @@ from motionkit.view.contact_sheet_geometry import (
     sliding_frames,
 )
 from motionkit.view.figure_data import MotionView, figure_data
+from synthetic_motions import make_walk
 
 pytest.importorskip("PIL")
 
@@ -84,6 +85,25 @@ def test_a_foot_without_toes_is_looked_at_where_they_would_be() -> None:
         np.testing.assert_allclose(figure.positions[:, foot], expected, atol=1e-3)
     joints = [bare.names[foot["joint"]] for foot in figure_data(MotionView("cut", cut))["feet"]]
     assert joints == ["LeftFoot", "RightFoot"]
+
+
+def test_helper_bones_are_no_part_of_the_figure() -> None:
+    """A root that stays on the floor carries targets of feet and hands: the picture is that of the body alone."""
+    walk = make_walk(60)
+    own, helpers = walk.skeleton, ("root", "ik_foot_root", "ik_foot_l", "ik_foot_r", "ik_hand_gun")
+    offsets = np.float32([[0, 0, 0], [0, 0, 0], [10, 8, 0], [-10, 8, 0], [-50, 110, 0], *own.offsets])
+    parents = (-1, 0, 1, 1, 0, 0, *(parent + 5 for parent in own.parents[1:]))
+    ends = {joint + 5: end for joint, end in own.end_sites.items()} | {4: (0.0, 0.0, 10.0)}
+    rotations = np.concatenate([quat_identity((60, 5)), walk.local_rotations], axis=1)
+    places = np.broadcast_to(offsets, (60, len(offsets), 3)).copy()
+    places[:, 5] = walk.root_positions
+    skeleton = Skeleton(helpers + own.names, parents, offsets, ends)
+    found = motion_figure(Motion(skeleton, rotations, places[:, 0], 60.0, places))
+    alone = motion_figure(walk)
+    assert found.hips == 5 and np.allclose(found.root, alone.root, atol=1e-3)
+    assert len(found.bones) == len(alone.bones) and found.floor == alone.floor
+    assert np.allclose(found.positions.max(axis=1), alone.positions.max(axis=1), atol=1e-3)
+    assert np.allclose(found.positions.min(axis=1), alone.positions.min(axis=1), atol=1e-3)
 
 
 @pytest.mark.parametrize(

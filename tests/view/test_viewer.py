@@ -156,6 +156,22 @@ def test_the_picture_shows_figures_and_moves(page: Page) -> None:
     assert (np.abs(picture(page) - first).max(axis=-1) > 30).sum() > 500
 
 
+# Where the timeline writes the speed of each motion, at five times: left, right, and the width of the canvas.
+SPEEDS_WRITTEN = """[0, 1, 2, 3, 3.9].flatMap((time) => {
+    const [found, pen] = [[], CanvasRenderingContext2D.prototype];
+    const write = pen.fillText;
+    pen.fillText = function (text, x, ...more) {
+        if (/^\\d\\.\\d\\d$/.test(text))
+            found.push([x, x + this.measureText(text).width, this.canvas.clientWidth]);
+        write.call(this, text, x, ...more);
+    };
+    motionkit.seek(time, true);
+    motionkit.timeline.redraw();
+    pen.fillText = write;
+    return found.slice(-6);
+})"""
+
+
 @pytest.mark.parametrize(
     "size", [(1280, 720), (390, 844), (844, 390)], ids=["screen", "phone", "phone across"]
 )
@@ -176,9 +192,12 @@ def test_motions_side_by_side_are_all_in_the_picture_at_first(
             return group.position.clone().add({ x, y: 0.9, z }).project(motionkit.stage.camera).x;
         })"""
     )
+    values = page.evaluate(SPEEDS_WRITTEN)
     hidden = page.evaluate("document.querySelector('#clips').scrollHeight - clips.clientHeight")
     page.close()
     assert hidden <= 1, "six names are all to be seen"
+    if size[1] > size[0]:
+        assert len(values) == 5 * 6 and all(0 <= left < right <= width for left, right, width in values)
     assert np.abs(across).max() < 0.95
     assert np.ptp(across) > 1.0, "the camera stands no further off than it must"
 

@@ -37,6 +37,7 @@ class Figure:
 
     Attributes:
         positions: (T, N, 3) joints, then end sites, balls of feet and, if there is a head, its middle; axis 1 is up.
+            Joints that are no part of the body of a human rig are at the hips.
         bones: pairs of point indices, parent first.
         sides: "left", "right" or "" for each point.
         hips: index of the point that is drawn as the root.
@@ -105,12 +106,19 @@ def motion_figure(motion: Motion) -> Figure:
         neck = max(skeleton.parents[head], 0)
         points = np.concatenate([points, _skull(points, neck, head, below, size)[:, None]], axis=1)
         points_sides = (*points_sides, "")
-    floor, floor_is_zero = _floor(points, size)
-    hips = _hips(points, skeleton.parents, floor, size)
-    base = range(hips + 1) if hips else range(0)  # bones from the floor to the hips do not belong to the body
+    own = _of_body(places, skeleton.parents)
+    outside = [number for number, joint in enumerate([*range(count), *ends]) if not own[joint]]
+    floor, floor_is_zero = _floor(np.delete(points, outside, axis=1), size)
+    hips = _hips(points, skeleton.parents, places.get("Hips", 0), floor, size)
+    base = _chain(hips, skeleton.parents)  # bones from the floor to the hips do not belong to the body
+    points[:, outside] = points[:, [hips]]
     return Figure(
         points,
-        tuple(bone for bone in bones if not _is_loose(points, bone, size) and bone[1] not in base),
+        tuple(
+            bone
+            for bone in bones
+            if not _is_loose(points, bone, size) and bone[1] not in base and bone[1] not in outside
+        ),
         points_sides,
         hips,
         head,
@@ -135,13 +143,30 @@ def _floor(points: Array, stature: float) -> tuple[float, bool]:
     return (0.0, True) if near_zero else (lowest, False)
 
 
-def _hips(points: Array, parents: tuple[int, ...], floor: float, stature: float) -> int:
-    """The first joint above the floor, found by following single children from the root."""
-    hips = 0
+def _of_body(places: dict[str, int], parents: tuple[int, ...]) -> list[bool]:
+    """Whether each joint is one of the bone map or hangs from one; helpers of a rig, such as ik_foot_l, do not."""
+    mapped, own = set(places.values()), list[bool]()
+    for joint, parent in enumerate(parents):
+        own.append("Hips" not in places or joint in mapped or (parent >= 0 and own[parent]))
+    return own
+
+
+def _chain(joint: int, parents: tuple[int, ...]) -> set[int]:
+    """The joints from the root to this one."""
+    found = set()
+    while joint >= 0:
+        found.add(joint)
+        joint = parents[joint]
+    return found
+
+
+def _hips(points: Array, parents: tuple[int, ...], hips: int, floor: float, stature: float) -> int:
+    """The first joint above the floor, found by following single children from the root, or the hips of the map."""
+    first = hips
     while points[:, hips, 1].mean() - floor < 0.2 * stature:
         below = [joint for joint, parent in enumerate(parents) if parent == hips]
         if len(below) != 1:
-            return 0
+            return first
         hips = below[0]
     return hips
 
