@@ -91,7 +91,7 @@ def test_a_drawn_foot_rolls_back_without_a_jump() -> None:
     roll = np.linspace(0.0, 2.0 * math.pi, 240)
     made = ankles_in_range(spoilt(still, roll, length_of(walk)))
     away, step = apart(made, still), np.degrees(roll[1])
-    usual, most = (math.degrees(each) for each in (ANKLES.usual_roll, ANKLES.roll))
+    usual, most = (math.degrees(each) for each in (ANKLES.usual_roll, ANKLES.most_roll))
     assert away[:10] == pytest.approx(np.degrees(roll[:10]), abs=0.1)
     assert away.max() == pytest.approx(usual, abs=step)
     beyond = (roll > math.radians(most)) & (roll < 2.0 * math.pi - math.radians(most))

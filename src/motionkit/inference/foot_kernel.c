@@ -193,7 +193,7 @@ void roll_back(const Feet *f, const Vec3 *offsets, Quat *rotations) {
         if (roll < -pi) roll += 2.0f * pi;
         const float size = fabsf(roll);
         if (size <= f->usual_roll) continue;
-        const float left = f->usual_roll * clip((f->roll - size) / (f->roll - f->usual_roll), 0.0f, 1.0f);
+        const float left = f->usual_roll * clip((f->most_roll - size) / (f->most_roll - f->usual_roll), 0.0f, 1.0f);
         *foot = quat_product(*foot, about(along, roll > 0.0f ? left - size : size - left));
     }
 }

@@ -34,7 +34,7 @@ typedef struct {
     float standing, slack, lowest, swing, fast, rise, fall, max_pitch;
     float unsure, sure, ankle_share, ease, enough, limit, pace;
     float bent, thigh_share, alike, straightening, backwards, steep;
-    float usual_roll, roll; /* of motion/ankles.py */
+    float usual_roll, most_roll; /* of motion/ankles.py */
     const float *hold;                         /* (B,) */
     float *carry;                              /* (B, 2) x, z */
     float *slip;                               /* (B, 2) x, z, of the last frame */

@@ -56,7 +56,7 @@ _FEET_SETTINGS = (leg_ik.LOCK, leg_ik.TOE, leg_ik.HOLD)
 _FEET_NUMBERS = (
     *(f.name for settings in _FEET_SETTINGS for f in fields(settings)),
     *("bent", "thigh_share", "alike", "straightening", "backwards", "steep"),
-    *("usual_roll", "roll"),
+    *("usual_roll", "most_roll"),
 )
 
 
@@ -272,7 +272,7 @@ def _feet(feet: FootLock) -> _Feet:
     numbers = [value for settings in _FEET_SETTINGS for value in vars(settings).values()]
     numbers += [leg_ik.BENT, leg_ik.THIGH_SHARE, leg_ik.ALIKE]
     numbers += [leg_ik.STRAIGHTENING, leg_ik.BACKWARDS, leg_ik.STEEP]
-    numbers += [ANKLES.usual_roll, ANKLES.roll]
+    numbers += [ANKLES.usual_roll, ANKLES.most_roll]
     state, joints = feet.arrays, leg_ik.LEG_JOINTS.tolist()
     places = [_address(state[name]) for name in _FEET_STATE]
     return _Feet(*((c_int64 * 2)(*pair) for pair in joints), *numbers, *places)
