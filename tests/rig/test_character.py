@@ -25,6 +25,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_angle
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.rig.on_rig import read_rig
+from motionkit.rig.soles import read_soles
 from rig.test_gltf_rig import VRM, character
 from synthetic_characters import CHARACTERS, skinned
 from synthetic_motions import make_walk
@@ -296,6 +297,18 @@ def test_a_root_bone_goes_down_with_the_hips_only_for_other_skin_than_feet(
     assert np.abs((body - root)[:, [0, 2]] - (body - root)[0, [0, 2]]).max() < 1e-5
     assert root[:, 1].max() > 0.2 and np.ptp(body[:, 1]) > 0.5
     assert (root[:, 1].min() < -0.2) == (key == "belt on root") and (root[:, 1].min() > -0.01) == rig.under
+
+
+@pytest.mark.filterwarnings("error")
+def test_weights_of_any_size_are_shares(tmp_path: Path) -> None:
+    data = bytearray(skinned(CHARACTERS["heels on root"]()))
+    (tmp_path / "hero.glb").write_bytes(data)
+    _, value, binary = parts(tmp_path / "hero.glb")
+    first = len(data) - len(binary) + value["bufferViews"][value["accessors"][2]["bufferView"]]["byteOffset"]
+    struct.pack_into("<4f", data, first, *[3e38] * 4)
+    (tmp_path / "hero.glb").write_bytes(data)
+    rig = read_rig(tmp_path / "hero.glb")
+    assert read_soles(rig) is not None and rig.under
 
 
 @pytest.mark.parametrize("where", ["beside", "along"])

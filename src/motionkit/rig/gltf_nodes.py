@@ -228,11 +228,16 @@ class GltfNodes:
                 which = self.file.whole_numbers(attributes.get("JOINTS_0"), 4)
                 if len({len(places), len(weights), len(which)}) > 1 or which.max() >= len(joints):
                     raise self.fault("a mesh whose vertices are bound to joints that its skin does not have")
-                yield skin, places, which, weights
+                yield (
+                    skin,
+                    places,
+                    which,
+                    weights.astype(np.float64),
+                )  # whose sum is finite, however large they are
 
-    def shares(self, *groups: set[int]) -> Array:
+    def shares(self, *groups: set[int]) -> Doubles:
         """The shares (N, G) of groups of nodes in how each vertex moves, as far as meshes can be read."""
-        out = [np.zeros((0, len(groups)), np.float32)]
+        out = [np.zeros((0, len(groups)))]
         with contextlib.suppress(MotionkitError):
             for skin, _, which, weights in self.vertices():
                 nodes = np.array(skin["joints"])[which]
