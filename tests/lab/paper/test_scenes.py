@@ -9,6 +9,7 @@ import pytest
 
 from motionkit.cli.main import main
 from motionkit.errors import MotionkitError
+from motionkit.lab.paper.rollout_sheets import KINDS, sheet_file
 from motionkit.lab.paper.scenes import SCENES, chosen_scenes, picture_name
 
 
@@ -51,5 +52,6 @@ def test_the_pictures_in_docs_are_those_of_the_script(monkeypatch: pytest.Monkey
     import make_scenes
 
     made = {picture_name(each.figure, each.name) for each in chosen_scenes(make_scenes.FIGURES)}
+    made |= {sheet_file(number) for number in KINDS}  # of experiment figures
     assert {path.name for path in docs.glob("figure-*.png")} == made
     assert all(f"]({name})" in (docs / "experiments.md").read_text("utf-8") for name in made)
