@@ -15,6 +15,7 @@ import functools
 import gzip
 import http.server
 import shutil
+import sys
 import tempfile
 import threading
 from pathlib import Path
@@ -50,6 +51,14 @@ PICTURES = """async (pictures) => {
 }"""
 
 
+class _Server(http.server.ThreadingHTTPServer):
+    """A server that says nothing of browsers that end before an answer does."""
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+
 class _Quiet(http.server.SimpleHTTPRequestHandler):
     def log_message(self, *_: object) -> None:
         """Say nothing."""
@@ -68,7 +77,7 @@ def main() -> None:
         rows.append(["all", f"{sum(sizes.values()) / 1e6:.2f}", f"{sum(packed.values()) / 1e6:.2f}"])
         print_table("the folder, MB", ["file", "as it is", "gzip -6"], rows)
         handler = functools.partial(_Quiet, directory=folder)
-        with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        with _Server(("127.0.0.1", 0), handler) as server:
             threading.Thread(target=server.serve_forever, daemon=True).start()
             address = f"http://127.0.0.1:{server.server_port}/"
             browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
