@@ -97,7 +97,7 @@ def folders(
 def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, form: str, jobs: int) -> None:
     """Run the command on every clip of a folder; raises MotionkitError at the end if some failed."""
     from motionkit.data.workers import worker_processes
-    from motionkit.rig.read_file import endings_text, motion_files
+    from motionkit.rig.read_file import clips_of
 
     out = values[target]
     if out is None or out == STDOUT:
@@ -106,9 +106,7 @@ def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, 
         raise click.UsageError(f"{folder} is a folder; expected a folder to write to, found {out.name!r}")
     if out.resolve().is_relative_to(folder.resolve()):
         raise OverwriteError(f"{out}: is inside the input folder {folder}; choose another output folder")
-    found = motion_files(folder)
-    if not found:
-        raise MotionkitError(f"{folder}: no {endings_text()} files found")
+    found = clips_of(folder)
     places = [(out / path.relative_to(folder)).with_suffix(f".{form}") for path in found]
     check_outputs(places, found)
     module = importlib.import_module("motionkit.cli.main").COMMANDS[click.get_current_context().info_name]

@@ -22,7 +22,6 @@ from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import OutputOptions, animation_options, display_name, output_option, view_option
 from motionkit.cli.rig_options import RigChoice, clip_option, open_rig, rig_option
 from motionkit.cli.times import Moment, TimePair
-from motionkit.errors import MotionkitError
 from motionkit.names import counted
 
 
@@ -83,12 +82,13 @@ def command(
     """
     from motionkit.editing.join import FAR, join_motions
     from motionkit.export.formats import read_clip
+    from motionkit.rig.read_file import clips_of
     from motionkit.view.figure_data import MotionView
 
     output_options.check()
-    files = [clip for place in clips for clip in _clips(place)]
-    first = clips[0].resolve().name if clips[0].is_dir() else clips[0].stem
-    outputs = output_options.files(f"{first}-joined", [*files, *choice.files])
+    files = [clip for place in clips for clip in clips_of(place)]
+    title = clips[0].resolve().name if clips[0].is_dir() else clips[0].stem
+    outputs = output_options.files(f"{title}-joined", [*files, *choice.files])
     chosen = list(zip(files, _named(files, animations), strict=True))
     sources = [read_clip(clip, name) for clip, name in chosen]
     rates = [source.motion.fps for source in sources]
@@ -115,27 +115,14 @@ def command(
                 f"{first} and {second}: their poses are {seam.apart:.0f} cm apart; if the join shows, "
                 "give better times with --at"
             )
-    lines = [
-        f"wrote {display_name(outputs.file)}: {len(made)} frames, {made.seconds:.2f} s at {made.fps:g} fps"
-    ]
+    length = f"{len(made)} frames, {made.seconds:.2f} s at {made.fps:g} fps"
+    lines = [f"wrote {display_name(outputs.file)}: {length}"]
     short = [Path(name).name for name in names]
     lines += [f"  {seam.sentence(*two)}" for seam, two in zip(joined.seams, pairwise(short), strict=True)]
     facts = {"output": outputs.file, "frames": len(made), "fps": made.fps}
     seams = [seam.as_dict() for seam in joined.seams]
     read = [(clip, source.in_file()) for clip, source in zip(files, sources, strict=True)]
     outputs.report(facts | {"seams": seams}, lines, *read)
-
-
-def _clips(place: Path) -> list[Path]:
-    """A clip, or those below a folder in the order of their names; raises MotionkitError if it has none."""
-    from motionkit.rig.read_file import endings_text, motion_files
-
-    if not place.is_dir():
-        return [place]
-    found = motion_files(place)
-    if not found:
-        raise MotionkitError(f"{place}: no {endings_text()} files found")
-    return found
 
 
 def _named(clips: Sequence[Path], animations: tuple[str, ...]) -> list[str | None]:

@@ -8,7 +8,7 @@ clips are cut. docs/dataset.md has the measurements behind the constants.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -130,10 +130,10 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
 
     At least two frames are kept. In a motion of one or two frames, only the floor height is corrected.
     """
-    cut, pops = _repaired(motion)  # first, so that a pop near an end is not taken for a break
+    cut, pops = repair(motion)  # first, so that a pop near an end is not taken for a break
     start, end = _good_span(cut)
     if end - start < len(motion):
-        cut, pops = _repaired(motion.cut(start, end))
+        cut, pops = repair(motion.cut(start, end))
     shift, floor_notes = floor_shift(cut)
     notes = floor_notes + _jumps_left(cut, start)
     up = np.array([0.0, shift, 0.0], cut.root_positions.dtype)
@@ -143,24 +143,23 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
     return replace(cut, root_positions=cut.root_positions + up), report
 
 
-def _repaired(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion of the canonical joints without flips, pops and feet beyond their range, and what was repaired.
+def repair(
+    motion: Motion,
+    limbs: Sequence[Limb] = LIMBS,
+    repair_feet: Callable[[Motion], tuple[Motion, list[tuple[int, str]]]] = repair_ankles,
+) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion of any rig in cm, Y up, without flips, pops and feet out of range, and the repaired frames and joints.
 
-    Feet come last, because the jumps of a foot tell a flipped leg.
-    """
-    repaired, found = repair(motion)
-    in_range, feet = repair_ankles(repaired)
-    return in_range, found + feet
-
-
-def repair(motion: Motion, limbs: Sequence[Limb] = LIMBS) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion of any rig in cm, Y up, without flips and pops, and the repaired frames and joints.
-
-    limbs are upper, middle and end joint of each leg and arm; those of the canonical skeleton by default.
+    Args:
+        motion: T frames.
+        limbs: upper, middle and end joint of each leg and arm; those of the canonical skeleton by default.
+        repair_feet: repairs feet beyond the range of the ankle; those of the canonical skeleton by default. They come
+            last, because the jumps of a foot tell a flipped leg.
     """
     unflipped, flips = _repair_flips(motion, limbs)
     repaired, pops = _repair_pops(unflipped)
-    return repaired, flips + pops
+    in_range, feet = repair_feet(repaired)
+    return in_range, flips + pops + feet
 
 
 def _steps(motion: Motion) -> tuple[Array, Array]:

@@ -234,12 +234,12 @@ def _without_glitches(motion: Motion, joints: _Joints) -> tuple[Motion, list[tup
 
 def _repaired(motion: Motion, joints: _Joints) -> tuple[Motion, list[tuple[int, str]]]:
     """The motion without flipped limbs, pops and feet beyond the range of the ankle, and the repaired frames."""
-    repaired, found = repair(motion, joints.limbs)
-    canonical = Upright(repaired).canonical if any(joints.feet) else None
-    if canonical is None:
-        return repaired, found
-    in_range, feet = repair_ankles(repaired, canonical, joints.feet)
-    return in_range, found + feet
+
+    def repair_feet(made: Motion) -> tuple[Motion, list[tuple[int, str]]]:
+        canonical = Upright(made).canonical if any(joints.feet) else None
+        return (made, []) if canonical is None else repair_ankles(made, canonical, joints.feet)
+
+    return repair(motion, joints.limbs, repair_feet)
 
 
 def _without_spikes(motion: Motion) -> tuple[Motion, int]:

@@ -73,6 +73,16 @@ def motion_files(folder: str | Path) -> list[Path]:
     return [path for path in files_below(folder, ENDINGS) if holds_motion(path)]
 
 
+def clips_of(place: Path) -> list[Path]:
+    """A file itself, or the files of motion below a folder, sorted; raises MotionkitError if it has none."""
+    if not place.is_dir():
+        return [place]
+    found = motion_files(place)
+    if not found:
+        raise MotionkitError(f"{place}: no {endings_text()} files found")
+    return found
+
+
 def holds_motion(path: str | Path) -> bool:
     """Whether a file of a folder is one to read: all but archives of other things."""
     return Path(path).suffix.lower() != ".npz" or has_motion(path)
