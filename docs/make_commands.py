@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import textwrap
+from collections import Counter
 from pathlib import Path
 
 import click
@@ -21,7 +22,13 @@ All commands and options, as `--help` shows them. This page is written by `pytho
 Exit codes: 0 done, 1 the data or the work failed, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (0 for `play`,
 which ends in no other way). Results go to stdout, progress and errors to stderr; `--json` prints the result as one JSON
 document.
+
+## Shared options
+
+These mean the same in every command that names them.
 """
+TABLE = ["| option | value | default | what it does |", "|---|---|---|---|"]
+SHARED_BY = 3  # commands from which on an option is described once
 
 
 def subcommand(name: str) -> click.Command:
@@ -84,11 +91,12 @@ def value_name(option: click.Option) -> str:
 
 def limits(kind: click.IntRange | click.FloatRange) -> str:
     """The range of a number, as " 1 to 480", " at least 1" or " above 0"."""
-    if kind.min is not None and kind.max is not None:
-        return f" {kind.min:g} to {kind.max:g}"
-    if kind.min is not None:
-        return f" {'above' if kind.min_open else 'at least'} {kind.min:g}"
-    return "" if kind.max is None else f" at most {kind.max:g}"
+    low, high = (x if x is None or isinstance(x, int) else f"{x:g}" for x in (kind.min, kind.max))
+    if low is not None and high is not None:
+        return f" {low} to {high}"
+    if low is not None:
+        return f" {'above' if kind.min_open else 'at least'} {low}"
+    return "" if high is None else f" at most {high}"
 
 
 def default_text(option: click.Option) -> str:
@@ -107,21 +115,36 @@ def option_row(option: click.Option) -> str:
     return f"| {names} | {value_name(option)} | {default_text(option)} | {text} |"
 
 
-def command_section(name: str) -> str:
+def options(name: str) -> list[click.Option]:
+    """The options of a command."""
+    return [each for each in subcommand(name).params if isinstance(each, click.Option)]
+
+
+def shared_rows() -> dict[str, str]:
+    """The rows that stand in many commands, by the option's first name."""
+    found: dict[str, str] = {}
+    for row, count in Counter(option_row(each) for name in names() for each in options(name)).most_common():
+        if count >= SHARED_BY:
+            found.setdefault(row.split("`")[1], row)
+    return found
+
+
+def command_section(name: str, shared: dict[str, str]) -> str:
     """The page's section on one command."""
     command = subcommand(name)
-    rows = [option_row(p) for p in command.params if isinstance(p, click.Option)]
-    if not rows:
-        return "\n".join([f"## {name}", "", f"    {usage(name, command)}", "", help_text(command), ""])
-    table = ["| option | value | default | what it does |", "|---|---|---|---|", *rows]
-    return "\n".join(
-        [f"## {name}", "", f"    {usage(name, command)}", "", help_text(command), "", *table, ""]
-    )
+    rows = {each.opts[0]: option_row(each) for each in options(name)}
+    own = [row for row in rows.values() if row not in shared.values()]
+    others = ", ".join(f"`{option}`" for option, row in rows.items() if row in shared.values())
+    lines = [f"## {name}", "", f"    {usage(name, command)}", "", help_text(command), ""]
+    lines += [*TABLE, *own, ""] if own else []
+    return "\n".join([*lines, f"[Shared options](#shared-options): {others}.", ""] if others else lines)
 
 
 def page_text() -> str:
     """The whole page."""
-    return "\n".join([HEADER, *(command_section(name) for name in names())])
+    shared = shared_rows()
+    sections = [command_section(name, shared) for name in names()]
+    return "\n".join([HEADER, *TABLE, *shared.values(), "", *sections])
 
 
 if __name__ == "__main__":
