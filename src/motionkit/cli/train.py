@@ -167,7 +167,7 @@ class Run:
 @click.option(
     "--step-weight",
     type=FiniteRange(0.0, 1000.0),
-    help="Weight of the loss on foot sliding against the recording; 0 by default, 35 keeps feet from sliding.",
+    help="Weight of the loss on foot sliding against the recording; 0, and 35 once the network makes steps, by default.",
 )
 @click.option(
     "--step-except",

@@ -32,8 +32,7 @@ from motionkit.tables import Table
 HEAD = """# Experiments
 
 `motionkit experiment` trains the paper's network (TPTN), its variants and the networks of other papers alike on free
-motion, and tests them on held-out clips. This page has the verdicts on the paper's claims, what was trained, and what
-that can tell; [{tables}]({tables}) has every figure. Both are written from results; no figure is typed in.
+motion, and tests them on held-out clips. [{tables}]({tables}) has every figure. Both pages are written from results.
 """
 
 RUN = """## Run it
@@ -44,19 +43,18 @@ motionkit experiment run all --data datasets/paper --seeds 3 # continues where i
 motionkit experiment tables
 ```
 
-Results go to `experiments/results`; for data of your own give both commands another `--results`, and `tables` another
-`-o` ([CONTRIBUTING.md](../CONTRIBUTING.md#add-a-data-set)). Roll-outs are kept beside results, and
-`motionkit experiment measure` adds a metric to finished runs.
+Results and roll-outs go to `experiments/results`; for data of your own give both commands another `--results`, and
+`tables` another `-o` ([CONTRIBUTING.md](../CONTRIBUTING.md#add-a-data-set)). `motionkit experiment measure` adds a
+metric to finished runs.
 """
 
 LIMITS = """Networks draw each frame at full sigma, from 87 initial frames (30 where a sequence is short), with the
 types, trajectory and skeleton of the test sequence, without foot locking, reference poses, velocity blending or
-corrections. A cell of the tables is the mean over seeds, ± the standard deviation, with the paper's figure in brackets:
-that is of its own data after 2000 epochs (table 3: of PFNN's data). Bold is a best value that is better by more than
-the spread. [metrics.md](metrics.md) defines the metrics: BM is `bm-euler`, best where nearest to the recorded one,
-then `afs`, `ssim-channel`, `mpjpe` and `path-mean`. BM of drawn frames grows with sigma, so it says little of the
-movement; BM by mean does. w/o-F has untrained contact outputs: its contacts are labelled by height and speed of the
-feet it draws.
+corrections. A cell of the tables is the mean over seeds, ± the standard deviation, with the paper's figure in brackets
+(its own data, 2000 epochs; table 3: PFNN's data). Bold is a best value that is better by more than the spread. The
+columns are `bm-euler` (BM, best nearest to the recorded one), `afs`, `ssim-channel`, `mpjpe` and `path-mean` of
+[metrics.md](metrics.md). BM of drawn frames grows with sigma, so it says little of the movement; BM by mean does. w/o-F
+is fed contacts that are labelled by height and speed of its feet.
 """
 
 TABLES_HEAD = """# Tables of the experiments
@@ -71,21 +69,19 @@ that by the trajectory nears 1 as a network learns, and begins there where the h
 
 ROLLOUTS = """## The paper's figures 10 and 11
 
-Mean roll-outs of the first seed, without foot locking: a held-out jump backwards, whose left foot is figure 10, and a
-held-out twist. `motionkit experiment figures --data datasets/paper` draws them where roll-outs were kept.
+Mean roll-outs of the first seed, without foot locking: a held-out jump backwards and a held-out twist. `motionkit
+experiment figures --data datasets/paper` draws them where roll-outs were kept.
 """
 
-NOT_DRAWN = """Figure 12, the path by PFNN, needs PFNN's data, which is not free. The control input that fails in
-section 5.5, a twist by EBTN, is a row of the tables by type in [experiments-tables.md](experiments-tables.md).
+NOT_DRAWN = """Figure 12 needs PFNN's data, which is not free.
 """
 
 SCENES = """## The paper's figures 1 and 5 to 9
 
 `motionkit experiment scenes --seeds 3` makes what these figures show, with any model (`--model`). Types and shapes are
-those of the paper; it gives its paths as pictures alone, so lengths are chosen to suit the recordings. Each distance is
-the mean over frames from the root's place on the ground to the nearest point of the path, ± the standard deviation over
-seeds. Feet are not locked; in the paper they are, except in figure 9. The shipped model uses its reference poses.
-`python docs/make_scenes.py` draws the pictures.
+those of the paper; lengths, which it does not give, suit the recordings. Distances are means over frames of the root
+from the path, ± the standard deviation over seeds. Feet are not locked; in the paper they are, except in figure 9. The
+shipped model uses its reference poses. `python docs/make_scenes.py` draws the pictures.
 """
 
 
@@ -125,10 +121,10 @@ def scene_cell(scene: dict[str, Any]) -> str:
 
 LONG = """## Long roll-outs
 
-Twenty seconds from 30 initial frames of test clips (the paper's section 5.2): types are given, the trajectory is the
-network's own prediction, fed back, and frames are drawn at full sigma. A roll-out holds where, in each of four parts,
-its poses are at most {apart:g} times as far from the nearest training pose of the type as the held-out recording is,
-its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest five seconds of its type.
+Twenty seconds from 30 initial frames of test clips (the paper's section 5.2): types are given, the network is fed its
+own trajectory, and frames are drawn at full sigma. A roll-out holds where, in each of four parts, its poses are at most
+{apart:g} times as far from the nearest training pose of the type as the held-out recording is, its feet swing between
+half and {apart:g} times as far, and it goes no faster than the fastest five seconds of its type.
 `motionkit experiment long MODEL` makes them, and `motionkit train datasets/paper --preset tptn-paper --budget medium
 --batch 8 --minutes 200 --trajectory-drift 0.15 --from-scratch` a model for it. Networks of D_L know no dance
 (`--type`).
@@ -161,10 +157,10 @@ def long_section(models: Sequence[dict[str, Any]], beside: Path | None = None) -
 
 BODIES = """## Skeleton control
 
-The control signal c^s holds the joints of the performer's body in its rest pose (paper section 3). Here one recording
-is continued with the bodies of {count} performers in that signal, all else equal. What the network takes the body to be
-is measured in the joint positions that it predicts, in cm, after the initial frames have left its receptive field;
-steps are the largest distance between the ankles in a second. `motionkit experiment bodies MODEL` makes the table.
+The control signal c^s holds the performer's body in its rest pose (paper section 3). Here one recording is continued
+with the bodies of {count} performers in that signal, all else equal. The body is measured in the predicted joint
+positions, in cm, after the initial frames have left the receptive field; steps are the largest distance between the
+ankles in a second. `motionkit experiment bodies MODEL` makes the table.
 """
 
 
@@ -187,13 +183,17 @@ def bodies_section(models: Sequence[dict[str, Any]], with_tables: bool = True) -
     return parts
 
 
-LEARNT = """Each variant is compared with TPTN seed by seed, because the same seed sees the same windows, on held-out
-clips. A cell is the variant's figure minus TPTN's, t of a two-sided paired t-test over seeds, and its p, corrected by
-Holm over the variants of the column; bold is p below 0.05. Less is better: **likelihood** is the negative
-log-likelihood per frame, **error** that of the mean one frame ahead, each block of features as a share of the error of
-repeating the last frame, **open loop** the distance of joints over a second of roll-outs by mean, in cm. Whether bodies
-move less or feet slide is decided by BM or AFS of roll-outs by mean. A claim **agrees** or **does not agree** where a
-measure tells and none tells otherwise; else it **cannot be told**. Verdicts hold for the training below.
+LEARNT = """Each variant is compared with TPTN seed by seed on held-out clips, because the same seed sees the same
+windows. A cell is the variant's figure minus TPTN's, t of a two-sided paired t-test over seeds, and its p, corrected by
+Holm over the variants of the column; bold is p below 0.05. Less is better in
+
+- **likelihood**: the negative log-likelihood per frame;
+- **error**: the error of the mean one frame ahead, each block of features as a share of that of repeating the last
+  frame;
+- **open loop**: the distance of joints over a second of roll-outs by mean, in cm.
+
+BM or AFS of roll-outs by mean decides whether bodies move less or feet slide. A claim **agrees** or **does not agree**
+where a measure tells and none tells otherwise; else it **cannot be told**. Verdicts hold for the training below.
 """
 SUMMARY_TABLES = "Networks of other papers, and floors"
 
