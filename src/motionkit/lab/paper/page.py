@@ -32,7 +32,8 @@ from motionkit.tables import Table
 HEAD = """# Experiments
 
 `motionkit experiment` trains the paper's network (TPTN), its variants and the networks of other papers alike on free
-motion, and tests them on held-out clips. [{tables}]({tables}) has every figure. Both pages are written from results.
+motion, and tests them on held-out clips. [{tables}]({tables}) has every figure; both pages are
+written from results.
 """
 
 RUN = """## Run it
