@@ -1,7 +1,8 @@
 """Writes the table of exporters of docs/sources.md: what is taken of a file of each, and what is noted.
 
 python docs/make_sources.py FILES.csv, a table with the columns exporter, file and picture: what a person saw on the
-contact sheet of the file. Files are not named on the page.
+contact sheet of the file. Files are not named on the page. Exporters of which there is nothing to say are printed, for
+the list above the table.
 """
 
 from __future__ import annotations
@@ -48,6 +49,9 @@ def row(exporter: str, file: str, picture: str) -> tuple[str, ...]:
 def main() -> None:
     with Path(sys.argv[1]).open(newline="") as file:
         rows = [row(each["exporter"], each["file"], each["picture"]) for each in csv.DictReader(file)]
+    plain = [each for each in rows if not each[4] and each[5] == "right"]
+    print(*(", ".join(each[:4]) for each in plain), sep="\n")
+    rows = [each for each in rows if each not in plain]
     columns = ("exporter", "unit", "up", "joints found by", "noted", "picture")
     lines = Table("", columns, rows).markdown()
     page = PAGE.read_text("utf-8")
