@@ -44,6 +44,7 @@ html_title = "motionkit"
 html_static_path = ["_static", "_generated/static"]
 html_css_files = ["site.css"]
 html_copy_source = False
+smartquotes_action = "qe"  # no dashes: --option stays as it is typed
 autodoc_typehints = "none"
 napoleon_use_ivar = True
 templates_path: list[str] = []

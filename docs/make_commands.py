@@ -27,7 +27,7 @@ document.
 
 These mean the same in every command that names them.
 """
-TABLE = ["| option | value | default | what it does |", "|---|---|---|---|"]
+TABLE = ["| option | what it does |", "|---|---|"]
 SHARED_BY = 3  # commands from which on an option is described once
 
 
@@ -74,19 +74,29 @@ def usage(name: str, command: click.Command) -> str:
 
 
 def value_name(option: click.Option) -> str:
-    """What stands after the option: its choices or the kind of value; nothing for a flag."""
+    """The word for the option's value after its names; nothing for a flag."""
     if option.is_flag or option.count:
         return ""
+    if option.metavar:
+        return " " + option.metavar.replace("|", "\\|")
+    kinds = {"integer": "number", "float": "number", "integer range": "number", "float range": "number"}
+    kinds |= {"directory": "folder"}
     kind = option.type
-    if isinstance(kind, click.Choice):
-        return "\\|".join(str(choice) for choice in kind.choices)
-    if isinstance(kind, (click.IntRange, click.FloatRange)):
-        return ("whole number" if isinstance(kind, click.IntRange) else "number") + limits(kind)
-    if isinstance(kind, click.Tuple):
-        return " and ".join(word.name for word in kind.types)
-    names = {"integer": "whole number", "float": "number", "text": "text", "path": "path"}
-    names |= {"file": "file", "directory": "folder"}
-    return names.get(kind.name, kind.name)
+    names = [each.name for each in kind.types] if isinstance(kind, click.Tuple) else [kind.name]
+    return " " + " ".join(kinds.get(name, name) for name in names).upper()
+
+
+def value_text(option: click.Option) -> str:
+    """What the value may be and what it is by default, as sentences that follow the help."""
+    kind, words = option.type, ""
+    if isinstance(kind, click.Choice) and not option.is_flag:
+        words = "One of " + ", ".join(str(choice) for choice in kind.choices)
+    elif isinstance(kind, (click.IntRange, click.FloatRange)) and not (option.is_flag or option.count):
+        words = ("Whole number" if isinstance(kind, click.IntRange) else "Number") + limits(kind)
+    default = default_text(option)
+    if default:
+        words = f"{words}; default {default}" if words else f"Default {default}"
+    return f" {words}." if words else ""
 
 
 def limits(kind: click.IntRange | click.FloatRange) -> str:
@@ -112,7 +122,7 @@ def option_row(option: click.Option) -> str:
     """A row of the table of options."""
     names = ", ".join(f"`{name}`" for name in (*option.opts, *option.secondary_opts))
     text = (option.help or "").replace("|", "\\|").replace("<", "\\<")
-    return f"| {names} | {value_name(option)} | {default_text(option)} | {text} |"
+    return f"| {names}{value_name(option)} | {text}{value_text(option)} |"
 
 
 def options(name: str) -> list[click.Option]:
