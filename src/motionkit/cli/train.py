@@ -167,7 +167,7 @@ class Run:
 @click.option(
     "--step-weight",
     type=FiniteRange(0.0, 1000.0),
-    help="Weight of the loss on foot sliding against the recording; 0, and 35 once the network makes steps, by default.",
+    help="Weight of the loss on foot sliding; by default 0, and 35 once the network makes steps.",
 )
 @click.option(
     "--step-except",
