@@ -73,30 +73,35 @@ def usage(name: str, command: click.Command) -> str:
     return " ".join(words)
 
 
+def takes_value(option: click.Option) -> bool:
+    """Whether a value stands after the option."""
+    return not (option.is_flag or option.count)
+
+
 def value_name(option: click.Option) -> str:
     """The word for the option's value after its names; nothing for a flag."""
-    if option.is_flag or option.count:
+    if not takes_value(option):
         return ""
     if option.metavar:
         return " " + option.metavar.replace("|", "\\|")
-    kinds = {"integer": "number", "float": "number", "integer range": "number", "float range": "number"}
-    kinds |= {"directory": "folder"}
+    kinds = {"integer": "number", "float": "number", "directory": "folder"}
     kind = option.type
-    names = [each.name for each in kind.types] if isinstance(kind, click.Tuple) else [kind.name]
+    types = kind.types if isinstance(kind, click.Tuple) else [kind]
+    names = [each.name.removesuffix(" range") for each in types]
     return " " + " ".join(kinds.get(name, name) for name in names).upper()
 
 
 def value_text(option: click.Option) -> str:
     """What the value may be and what it is by default, as sentences that follow the help."""
-    kind, words = option.type, ""
-    if isinstance(kind, click.Choice) and not option.is_flag:
-        words = "One of " + ", ".join(str(choice) for choice in kind.choices)
-    elif isinstance(kind, (click.IntRange, click.FloatRange)) and not (option.is_flag or option.count):
-        words = ("Whole number" if isinstance(kind, click.IntRange) else "Number") + limits(kind)
-    default = default_text(option)
-    if default:
-        words = f"{words}; default {default}" if words else f"Default {default}"
-    return f" {words}." if words else ""
+    kind, words = option.type, []
+    if takes_value(option) and isinstance(kind, click.Choice):
+        words.append("one of " + ", ".join(str(choice) for choice in kind.choices))
+    elif takes_value(option) and isinstance(kind, (click.IntRange, click.FloatRange)):
+        words.append(("whole number" if isinstance(kind, click.IntRange) else "number") + limits(kind))
+    if default := default_text(option):
+        words.append(f"default {default}")
+    text = "; ".join(words)
+    return f" {text[0].upper()}{text[1:]}." if text else ""
 
 
 def limits(kind: click.IntRange | click.FloatRange) -> str:
@@ -143,8 +148,9 @@ def command_section(name: str, shared: dict[str, str]) -> str:
     """The page's section on one command."""
     command = subcommand(name)
     rows = {each.opts[0]: option_row(each) for each in options(name)}
-    own = [row for row in rows.values() if row not in shared.values()]
-    others = ", ".join(f"`{option}`" for option, row in rows.items() if row in shared.values())
+    once = [option for option, row in rows.items() if shared.get(option) == row]
+    own = [row for option, row in rows.items() if option not in once]
+    others = ", ".join(f"`{option}`" for option in once)
     lines = [f"## {name}", "", f"    {usage(name, command)}", "", help_text(command), ""]
     lines += [*TABLE, *own, ""] if own else []
     return "\n".join([*lines, f"[Shared options](#shared-options): {others}.", ""] if others else lines)

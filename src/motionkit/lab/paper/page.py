@@ -74,7 +74,8 @@ Mean roll-outs of the first seed, without foot locking: a held-out jump backward
 experiment figures --data datasets/paper` draws them where roll-outs were kept.
 """
 
-NOT_DRAWN = """Figure 12 needs PFNN's data, which is not free.
+NOT_DRAWN = """Figure 12 needs PFNN's data, which is not free. The input that fails in section 5.5, a twist by EBTN, is
+a row of the tables by type in [experiments-tables.md](experiments-tables.md).
 """
 
 SCENES = """## The paper's figures 1 and 5 to 9
