@@ -44,11 +44,13 @@ from motionkit.arrays import Floats
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.features.encode import encode_motion
 from motionkit.lab.paper.datasets import select
-from motionkit.lab.paper.runs import Plan, options_of, read_result, run_one
+from motionkit.lab.paper.runs import Plan, model_file, options_of, run_one
 from motionkit.lab.paper.together import stack, train_all, train_together
 from motionkit.lab.paper.variants import VARIANTS, variant
+from motionkit.models.checkpoint import load_model, save_model
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat, quat_to_expmap
+from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_presets
 from motionkit.training.options import with_changes
 from motionkit.training.presets import train_options
 from motionkit.training.report import TrainEvent
@@ -96,6 +98,7 @@ def unpack(folder: Path, output: Path) -> Path:
     """Write the dataset folder of a packed one, and return it; what is there is kept."""
     if output.exists():
         return output
+    output.parent.mkdir(parents=True, exist_ok=True)
     part = output.with_name(f".{output.name}")
     shutil.copytree(folder, part, dirs_exist_ok=True)
     features = _features(folder)
@@ -153,7 +156,7 @@ def times(job: Path, arguments: argparse.Namespace) -> None:
         precision=arguments.precision,
     )
     run = TrainingRun(
-        Dataset(unpack(job / "free", job / "unpacked-free")),
+        Dataset(unpack(job / "free", job / "unpacked" / "free")),
         job / "m.safetensors",
         options,
         device=str(device),
@@ -206,7 +209,7 @@ def _together(
 ) -> float:
     """Train networks side by side, and return the seconds of the second half of their steps."""
     device = torch.device(arguments.device)
-    dataset = select(unpack(job / "paper", job / "unpacked-paper"), "D_L")
+    dataset = select(unpack(job / "paper", job / "unpacked" / "paper"), "D_L")
     stacks = []
     for each in map(variant, names):
         options = options_of(Plan(job, budget="long", steps=steps), each, 0)
@@ -223,17 +226,18 @@ def _together(
 
 def laboratory(job: Path, arguments: argparse.Namespace) -> None:
     """Train the paper's networks with all seeds together, and note what is to be tested."""
-    plan = _plan(job, arguments.selection, arguments.device)
-    tasks = [(variant(name), seed) for seed in range(arguments.seeds) for name in arguments.names]
+    plan = _plan(job, arguments.selection, arguments.device, arguments.steps)
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    tasks = [(variant(name), seed) for seed in seeds for name in arguments.names]
     made = train_all(plan, tasks, print, lambda share: None, arguments.minutes)
     facts = {"selection": made.selection, "steps": made.steps, "tasks": [[v.name, seed] for v, seed in tasks]}
     with (job / "trained.jsonl").open("a", encoding="utf-8") as file:
         file.write(json.dumps(facts) + "\n")
-    print(f"{made.folder}: {made.steps} steps in {arguments.minutes} minutes", flush=True)
+    print(f"{made.folder}: {made.steps} steps", flush=True)
 
 
 def _plan(job: Path, selection: str, device: str, steps: int | None = None) -> Plan:
-    data = unpack(job / "paper", job / "unpacked-paper")
+    data = unpack(job / "paper", job / "unpacked" / "paper")
     return Plan(data, selection, "long", steps, job / "results", job / "models", 120, device)
 
 
@@ -255,9 +259,8 @@ def tests(job: Path, arguments: argparse.Namespace) -> None:
 def _tested(plan: Plan, name: str, seed: int) -> str:
     """Test a network, and return its first loss beside that on a processor, which differs by dropout alone."""
     file = run_one(plan, variant(name), seed, lambda text: None, lambda share: None, trained=True)
-    step, loss = read_result(file)["curve"][0]
-    if step != 1:
-        return str(file)
+    log = model_file(plan, variant(name), seed).with_suffix(".run") / "log.jsonl"
+    loss = json.loads(log.read_text("utf-8").splitlines()[0])["total"]
     dataset, device = select(plan.data, plan.selection), torch.device("cpu")
     options = with_changes(options_of(replace(plan, steps=1), variant(name), seed), {"precision": "float32"})
     alone = stack(dataset, [options], device)
@@ -266,7 +269,7 @@ def _tested(plan: Plan, name: str, seed: int) -> str:
 
 
 def bundled(job: Path, arguments: argparse.Namespace) -> None:
-    """Train the bundled recipe from random weights; `calibrate` on any machine finishes the model."""
+    """Train the bundled recipe from random weights; `calibrate` finishes the model, on any machine."""
     options = train_options(
         "tptn",
         minutes=arguments.minutes,
@@ -285,8 +288,18 @@ def bundled(job: Path, arguments: argparse.Namespace) -> None:
         if event.kind == "note" or (event.kind == "log" and event.step % 1000 == 0):
             print(event.kind, event.step, round(event.seconds), event.text or event.losses, flush=True)
 
-    data = unpack(job / "free", job / "unpacked-free")
+    data = unpack(job / "free", job / "unpacked" / "free")
     train(data, job / "bundled.safetensors", options, device=arguments.device, on_event=said)
+
+
+def calibrate(job: Path, arguments: argparse.Namespace) -> None:
+    """Add the sampling presets, which take processors minutes, to what `bundled` wrote."""
+    dataset, frames = Dataset(unpack(job / "free", job / "unpacked" / "free")), 300
+    path = job / "bundled.safetensors"
+    model = load_model(path)
+    model = with_presets(model, "reference_gain", calibrated_gains(model, dataset, frames))
+    model = with_presets(model, "noise_alone", calibrated_noise(model, dataset, frames))
+    save_model(path, model, half=True)
 
 
 def run_all(job: Path, arguments: argparse.Namespace) -> None:
@@ -296,7 +309,7 @@ def run_all(job: Path, arguments: argparse.Namespace) -> None:
     output.mkdir(parents=True, exist_ok=True)
     ready.unlink(missing_ok=True)
     for name in ("paper", "free"):
-        unpack(job / name, job / f"unpacked-{name}")
+        unpack(job / name, job / "unpacked" / name)
     more = ["--device", arguments.device, "--seeds", str(arguments.seeds), "--names", *arguments.names]
 
     def begin(name: str, *words: str) -> subprocess.Popen[bytes]:
@@ -307,7 +320,8 @@ def run_all(job: Path, arguments: argparse.Namespace) -> None:
     for_bundled = arguments.minutes - arguments.laboratory - SPARE_MINUTES
     options = ["--minutes", str(for_bundled), "--splices", "2000", "--after", str(ready)]
     bundled_run = begin("bundled", *options, *more[:2])
-    made = begin("laboratory", "D_L", "--minutes", str(arguments.laboratory), *more)
+    lasts = ("--steps", str(arguments.steps)) if arguments.steps else ("--minutes", str(arguments.laboratory))
+    made = begin("laboratory", "D_L", *lasts, "--first-seed", str(arguments.first_seed), *more)
     _wait(made, end, job, output)
     ready.touch()
     tested = begin("tests", "--device", "cpu", "--jobs", str(max(1, (os.cpu_count() or 2) // 2)))
@@ -348,7 +362,14 @@ def main() -> None:
     packing.add_argument("paper", type=Path)
     packing.add_argument("free", type=Path)
     packing.add_argument("-o", "--output", type=Path, required=True)
-    works = {"all": run_all, "times": times, "laboratory": laboratory, "tests": tests, "bundled": bundled}
+    works = {
+        "all": run_all,
+        "times": times,
+        "laboratory": laboratory,
+        "tests": tests,
+        "bundled": bundled,
+        "calibrate": calibrate,
+    }
     made = {name: commands.add_parser(name) for name in works}
     for name, each in made.items():
         each.set_defaults(run=works[name])
@@ -368,8 +389,11 @@ def main() -> None:
     made["bundled"].add_argument("--after", type=Path, help="train once this file is there")
     made["all"].add_argument("output", type=Path)
     made["all"].add_argument("--laboratory", type=float, default=4.0, help="minutes of its training")
+    for name in ("all", "laboratory"):
+        made[name].add_argument("--first-seed", type=int, default=0)
+        made[name].add_argument("--steps", type=int, help="of the laboratory, in place of minutes")
     for name in ("all", "laboratory", "bundled"):
-        made[name].add_argument("--minutes", type=float, required=True)
+        made[name].add_argument("--minutes", type=float, required=name != "laboratory")
     arguments = parser.parse_args()
     if arguments.command == "pack":
         pack(arguments.paper, arguments.output / "paper")

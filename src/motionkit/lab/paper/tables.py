@@ -404,12 +404,9 @@ def budget_lines(results: Results) -> list[str]:
         line = f"**{_named(folder)}**: {text}; {counted(len(here), 'result')}."
         if trained:
             b = trained[0]["budget"]
-            seconds = sorted(r["timing"]["seconds"] for r in trained)
-            least, most = (f"{each / 60:.0f}" for each in (seconds[0], seconds[-1]))
-            minutes = f"{least} minutes" if least == most else f"{least} to {most} minutes"
             line += (
                 f" Each network: {b['steps']} steps of {b['batch']} windows of {b['window']} frames, "
-                f"rate {b['rate']:g}; {minutes} ({trained[0]['timing']['machine']})."
+                f"rate {b['rate']:g}; {_minutes(trained)}."
             )
             if b.get("config"):
                 words = ", ".join(f"{option} {value:g}" for option, value in b["config"].items())
@@ -417,6 +414,19 @@ def budget_lines(results: Results) -> list[str]:
         most = f"At most {here[0]['longest']} frames are made of a sequence."
         lines.append(f"{line} {_test_set(here)} {most} {_command(here, folder)}")
     return lines
+
+
+def _minutes(trained: Results) -> str:
+    """Say how many runs each machine made, and the minutes of the shortest and the longest."""
+    seconds: dict[str, list[float]] = {}
+    for each in trained:
+        seconds.setdefault(each["timing"]["machine"], []).append(each["timing"]["seconds"])
+    parts = []
+    for machine, found in seconds.items():
+        least, most = (round(each / 60.0) for each in (min(found), max(found)))
+        span = ("" if least == most else f"{least} to ") + counted(most, "minute")
+        parts.append(f"{counted(len(found), 'run')} of {span} on {machine}")
+    return ", ".join(parts)
 
 
 def _test_set(here: Results) -> str:
