@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from motionkit.features import decode
 from motionkit.models import torch_rotations as ours
 from motionkit.motion import rotations as reference
 
@@ -32,9 +31,8 @@ def expmaps(dtype: torch.dtype) -> Tensor:
 
 def quats(dtype: torch.dtype) -> Tensor:
     """Unit quaternions, half turns about the axes among them."""
-    return torch.cat(
-        [ours.expmap_to_quat(expmaps(dtype)), torch.eye(4, dtype=dtype), -torch.eye(4, dtype=dtype)]
-    )
+    turns = torch.from_numpy(reference.expmap_to_quat(expmaps(dtype).numpy()))
+    return torch.cat([turns, torch.eye(4, dtype=dtype), -torch.eye(4, dtype=dtype)])
 
 
 def sixd(dtype: torch.dtype) -> Tensor:
@@ -42,58 +40,46 @@ def sixd(dtype: torch.dtype) -> Tensor:
     return torch.from_numpy(reference.quat_to_sixd(quats(dtype).numpy()))
 
 
-def matrices(dtype: torch.dtype) -> Tensor:
-    """The matrices of quats."""
-    return torch.from_numpy(reference.quat_to_matrix(quats(dtype).numpy()))
-
-
-PAIRS: dict[str, Callable[[torch.dtype], tuple[Tensor, ...]]] = {
-    "quat_multiply": lambda dtype: (quats(dtype), quats(dtype).flip(0)),
-    "quat_rotate": lambda dtype: (quats(dtype), torch.randn(len(quats(dtype)), 3, dtype=dtype)),
-    "quat_from_yaw": lambda dtype: (torch.linspace(-7.0, 7.0, 50, dtype=dtype),),
-    "expmap_to_quat": lambda dtype: (expmaps(dtype),),
-    "matrix_to_quat": lambda dtype: (matrices(dtype),),
-    "sixd_to_quat": lambda dtype: (sixd(dtype),),
-}
+def same(found: Tensor, expected: np.ndarray) -> None:
+    """Compare with matrices (..., 3, 3) or vectors (..., 3) of numpy."""
+    first = np.moveaxis(expected, (-2, -1), (0, 1)) if expected.ndim > 2 else expected.T
+    assert found.dtype == torch.from_numpy(expected).dtype
+    np.testing.assert_allclose(found.numpy(), first, atol=1e-6 if found.dtype == torch.float32 else 1e-12)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("name", PAIRS)
-def test_the_same_as_numpy(name: str, dtype: torch.dtype) -> None:
-    given = PAIRS[name](dtype)
-    expected = getattr(reference, name)(*(values.numpy() for values in given))
-    found = getattr(ours, name)(*given)
-    assert found.dtype == dtype
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-6 if dtype == torch.float32 else 1e-12)
+def test_matrices_are_those_of_numpy(dtype: torch.dtype) -> None:
+    matrix, yaw = reference.quat_to_matrix, torch.linspace(-7.0, 7.0, 50, dtype=dtype)
+    same(ours.yaw_to_matrix(yaw), matrix(reference.quat_from_yaw(yaw.numpy())))
+    same(ours.sixd_to_matrix(sixd(dtype)), matrix(reference.sixd_to_quat(sixd(dtype).numpy())))
+    given = expmaps(dtype)
+    same(ours.expmap_to_matrix(given.T), matrix(reference.expmap_to_quat(given.numpy())))
 
 
-@pytest.mark.parametrize("layout", ["sixd-root-1", "expmap-root-1"])
-def test_decoded_rotations_are_the_same(layout: str) -> None:
-    draw = torch.Generator().manual_seed(1)
-    features, reference_rotations = torch.randn(7, 3, 276, generator=draw), torch.randn(23, 4, generator=draw)
-    reference_rotations = torch.nn.functional.normalize(reference_rotations, dim=-1)
-    expected = decode.decode_rotations(features.numpy(), reference_rotations.numpy(), layout)
-    np.testing.assert_allclose(
-        ours.decode_rotations(features, reference_rotations, layout).numpy(), expected, atol=1e-5
-    )
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_products_are_those_of_numpy(dtype: torch.dtype) -> None:
+    a, b = (reference.quat_to_matrix(each.numpy()) for each in (quats(dtype), quats(dtype).flip(0)))
+    vectors = np.random.default_rng(0).standard_normal((len(a), 3)).astype(a.dtype)
+    first, second = (torch.from_numpy(np.moveaxis(each, 0, -1).copy()) for each in (a, b))
+    same(ours.multiply(first, second), a @ b)
+    same(ours.rotate(first, torch.from_numpy(vectors.T.copy())), (a @ vectors[..., None])[..., 0])
 
 
 def gradient(function: Callable[[Tensor], Tensor], value: Tensor) -> Tensor:
-    """That of the sum of squares of what a function makes of a value."""
+    """That of the weighted sum of what a function makes of a value."""
     value = value.clone().requires_grad_(True)
-    function(value).square().sum().backward()
+    made = function(value)
+    (made * torch.arange(1.0, made.numel() + 1.0, dtype=made.dtype).reshape(made.shape)).sum().backward()
     assert value.grad is not None
     return value.grad
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_gradients_are_finite_everywhere(dtype: torch.dtype) -> None:
-    weights = torch.arange(1.0, 5.0, dtype=dtype)
-    assert gradient(lambda v: ours.expmap_to_quat(v) * weights, expmaps(dtype)).isfinite().all()
-    assert gradient(lambda v: ours.matrix_to_quat(v) * weights, matrices(dtype)).isfinite().all()
-    assert gradient(lambda v: ours.sixd_to_quat(v) * weights, sixd(dtype)).isfinite().all()
+    assert gradient(ours.expmap_to_matrix, expmaps(dtype).T).isfinite().all()
+    assert gradient(ours.sixd_to_matrix, sixd(dtype)).isfinite().all()
 
 
 def test_gradient_of_expmap_agrees_with_finite_differences() -> None:
-    given = expmaps(torch.float64)[::7].clone().requires_grad_(True)
-    assert torch.autograd.gradcheck(ours.expmap_to_quat, (given,), eps=1e-6, atol=1e-5)
+    given = expmaps(torch.float64)[::7].T.clone().requires_grad_(True)
+    assert torch.autograd.gradcheck(ours.expmap_to_matrix, (given,), eps=1e-6, atol=1e-5)

@@ -22,9 +22,8 @@ from motionkit.training.windows import SamplerOptions
 
 ONES = torch.ones(1, 4)
 OFFSETS = torch.from_numpy(canonical_skeleton().offsets)
-REFERENCE_ROTATIONS = torch.zeros(23, 4)
-REFERENCE_ROTATIONS[:, 0] = 1.0
-PLAIN = FeatureSpace(torch.zeros(276), torch.ones(276), REFERENCE_ROTATIONS, "sixd-root-1", 60.0)
+REFERENCES = torch.eye(3)[:, :, None].expand(3, 3, 23)
+PLAIN = FeatureSpace(torch.zeros(276), torch.ones(276), REFERENCES, "sixd-root-1", 60.0)
 
 
 def prediction(mean: Tensor, logits: Tensor | None = None) -> Prediction:

@@ -7,6 +7,7 @@ Shape legend: P parts, B batch, T frames, D width, H heads, E width of a head, W
 
 from __future__ import annotations
 
+import functools
 import math
 
 import torch
@@ -48,10 +49,11 @@ class LocalAttention(nn.Module):
         if query is not None:
             made = torch.cat([self.qkv(query)[..., :D], made[..., D:]], dim=-1)
         qkv = made.reshape(P, B, T, 3, H, E).permute(3, 0, 1, 4, 2, 5)
-        qkv = F.pad(qkv, (0, 0, 0, blocks * BLOCK - T)).reshape(3, P, B, H, blocks, BLOCK, E)
-        q, k, v = qkv.unbind(0)
-        k, v = self._with_reach(k), self._with_reach(v)  # (P, B, H, blocks, reach + BLOCK, E)
-        scores = torch.matmul(q, k.transpose(-1, -2))
+        if T % BLOCK:
+            qkv = F.pad(qkv, (0, 0, 0, blocks * BLOCK - T))
+        qkv = qkv.reshape(3, P, B, H, blocks, BLOCK, E)
+        k, v = self._with_reach(qkv[1:])  # (P, B, H, blocks, reach + BLOCK, E)
+        scores = torch.matmul(qkv[0], k.transpose(-1, -2))
         mask = self._mask(P, blocks, x_PBTD.device)
         weights = torch.softmax(torch.add(mask, scores, alpha=1.0 / math.sqrt(E)), dim=-1).to(v.dtype)
         mixed = torch.matmul(weights, v).reshape(P, B, H, blocks * BLOCK, E)[:, :, :, :T]
@@ -77,19 +79,11 @@ class LocalAttention(nn.Module):
 
     def _mask(self, parts: int, blocks: int, device: torch.device) -> Tensor:
         """Return a mask to add to scores (P, B, H, blocks, BLOCK, keys): the bias in the window, -inf outside."""
-        reach = self.window - 1
-        query = torch.arange(BLOCK, device=device)[:, None]
-        key = torch.arange(BLOCK + reach, device=device)[None, :] - reach
-        distance = query - key
-        inside = (distance >= 0) & (distance < self.window)
-        # There are no frames before the first.
-        allowed = torch.stack([inside & (key >= 0)] + [inside] * (blocks - 1))
-        zero = torch.zeros((), device=device)
-        mask = torch.where(allowed, zero, zero - torch.inf)
+        distance, first, later = _block_window(self.window, device)
+        mask = torch.cat([first, later.expand(blocks - 1, -1, -1)])
         if self.offset_bias is None:
             return mask
-        bias = self.offset_bias[:, :, distance.clamp(0, self.window - 1)]
-        return mask + bias.reshape(parts, 1, self.heads, 1, BLOCK, BLOCK + reach)
+        return mask + self.offset_bias[:, :, distance].reshape(parts, 1, self.heads, 1, *distance.shape)
 
     def step(
         self, x_PBD: Tensor, residual: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor
@@ -103,16 +97,51 @@ class LocalAttention(nn.Module):
         q, k, v = self.qkv(x_PBD).reshape(P, B, 3, H, E).unbind(2)
         keys[:, :, :, slot] = k
         values[:, :, :, slot] = v
-        scores = torch.matmul(q.unsqueeze(-2), keys.transpose(-1, -2)) / math.sqrt(E) + bias
+        scores = torch.matmul(q.unsqueeze(-2), keys.transpose(-1, -2))
+        scores = torch.add(bias, scores, alpha=1.0 / math.sqrt(E))
         mixed = torch.matmul(torch.softmax(scores, dim=-1), values)
         return self.out(mixed.reshape(P, B, D), residual)
 
     def ring_bias(self, frame: int, device: torch.device) -> Tensor:
         """Return the bias (P, 1, H, 1, W) of step() at a frame number since the start of the stream."""
-        slots = torch.arange(self.window, device=device)
-        distance = torch.remainder(frame - slots, self.window)
-        empty = torch.where(distance > frame, -torch.inf, 0.0)
+        distances, empty = _ring_window(self.window, device)
+        row = frame if frame < self.window else self.window + frame % self.window
         if self.offset_bias is None:
-            return empty.reshape(1, 1, 1, 1, -1)
-        bias = self.offset_bias[:, :, distance] + empty
+            return empty[row].reshape(1, 1, 1, 1, -1)
+        bias = self.offset_bias[:, :, distances[row]]
+        bias = bias + empty[row] if frame < self.window else bias
         return bias[:, None, :, None, :]
+
+
+# Constants are kept, because a GPU spends as long on each small kernel as on a large one. All of them are kept, because
+# a CUDA graph goes on reading those that it was captured with.
+
+
+@functools.cache
+@torch.inference_mode(False)
+def _block_window(window: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Return what the queries of a block see of its keys.
+
+    Returns:
+        The distance in frames (BLOCK, keys), within 0 to W - 1; and 0 in the window, -inf outside (1, BLOCK, keys), for
+        the first block, which has no frames before it, and for later ones.
+    """
+    key = torch.arange(BLOCK + window - 1, device=device)[None, :] - (window - 1)
+    distance = torch.arange(BLOCK, device=device)[:, None] - key
+    outside = (distance < 0) | (distance >= window)
+    zero = torch.zeros(distance.shape, device=device)
+    first, later = (zero.masked_fill(hidden, -torch.inf)[None] for hidden in (outside | (key < 0), outside))
+    return distance.clamp(0, window - 1), first, later
+
+
+@functools.cache
+@torch.inference_mode(False)
+def _ring_window(window: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return for the first 2 W frames how many frames ago each slot of a ring was written, and what empty ones add.
+
+    Both are (2 W, W); an empty slot adds -inf to its score, another 0.
+    """
+    frame = torch.arange(2 * window, device=device)[:, None]
+    distance = torch.remainder(frame - torch.arange(window, device=device), window)
+    empty = torch.zeros(distance.shape, device=device).masked_fill(distance > frame, -torch.inf)
+    return distance, empty

@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from motionkit.data.dataset import Dataset
 from motionkit.features.layout import feature_layout
+from motionkit.motion.rotations import quat_to_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,30 +56,26 @@ class FeatureSpace:
 
     Attributes:
         mean, std: (276,) scaling of the features.
-        reference_rotations: (23, 4) reference rotations of the joints.
+        reference_matrices: (3, 3, 23) reference rotations of the joints.
     """
 
     mean: Tensor
     std: Tensor
-    reference_rotations: Tensor
+    reference_matrices: Tensor
     layout: str
     fps: float
 
     @classmethod
     def of(cls, dataset: Dataset) -> FeatureSpace:
         """Return the feature space of a dataset, on the CPU."""
-        mean, std, reference_rotations = (
-            torch.from_numpy(array)
-            for array in (dataset.scaling.mean, dataset.scaling.std, dataset.reference_rotations)
-        )
-        return cls(mean, std, reference_rotations, dataset.layout.version, dataset.fps)
+        matrices = np.moveaxis(quat_to_matrix(dataset.reference_rotations), 0, -1)
+        mean, std, references = map(torch.from_numpy, (dataset.scaling.mean, dataset.scaling.std, matrices))
+        return cls(mean, std, references, dataset.layout.version, dataset.fps)
 
     def to(self, device: torch.device) -> FeatureSpace:
         """Return the feature space on another device."""
-        mean, std, reference_rotations = (
-            t.to(device) for t in (self.mean, self.std, self.reference_rotations)
-        )
-        return FeatureSpace(mean, std, reference_rotations, self.layout, self.fps)
+        mean, std, references = (x.to(device) for x in (self.mean, self.std, self.reference_matrices))
+        return FeatureSpace(mean, std, references, self.layout, self.fps)
 
     def denormalize(self, values: Tensor) -> Tensor:
         """Return features (..., 276) in cm, radians and their rates."""

@@ -18,8 +18,14 @@ from motionkit.features.layout import feature_layout
 from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.layers import FeedForward
 from motionkit.models.network import PartTransformer, Prediction
-from motionkit.models.torch_rotations import decode_rotations, quat_from_yaw, quat_multiply, quat_rotate
-from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS
+from motionkit.models.torch_rotations import (
+    expmap_to_matrix,
+    multiply,
+    rotate,
+    sixd_to_matrix,
+    yaw_to_matrix,
+)
+from motionkit.motion.skeleton import FOOT_JOINTS
 
 FOOT_UNIT = 20.0  # cm
 NEAR_GROUND = 15.0  # cm; the weight of a foot joint in the step loss falls to 0 at this height
@@ -129,30 +135,27 @@ def contact_loss(logits: Tensor, target: Tensor, mask: Tensor) -> Tensor:
     return _mean(F.binary_cross_entropy_with_logits(logits, target, reduction="none").sum(-1), mask)
 
 
-def _leg(ankle: int) -> tuple[int, ...]:
-    """Return the joints from below the root to an ankle."""
-    chain = [ankle]
-    while PARENTS[chain[0]] > 0:
-        chain.insert(0, PARENTS[chain[0]])
-    return tuple(chain)
-
-
-# Left and right leg from the hip to the ankle, and the toes.
-LEGS, TOES = tuple(_leg(ankle) for ankle in FOOT_JOINTS[::2]), FOOT_JOINTS[1::2]
+# Joints of the left leg from the hip to the toes, and as many of the right one.
+LEG = FOOT_JOINTS[1]
+LEGS = slice(1, 1 + 2 * LEG)
 
 
 def foot_positions(features: Tensor, offsets: Tensor, space: FeatureSpace) -> Tensor:
     """Return feet (B, T, 4, 3) in cm under the root, in the heading frame, of unnormalised features and bones in cm."""
-    joints = [joint for leg in LEGS for joint in leg]
-    rotations = decode_rotations(features, space.reference_rotations, space.layout, joints)
-    bends = rotations[..., 1:, :].unflatten(-2, (len(LEGS), -1)).unbind(-2)
-    turn = rotations[..., :1, :]  # both legs side by side
-    places = [torch.zeros_like(features[..., None, :3])]
-    for pair, bend in zip((*zip(*LEGS, strict=True), TOES), (*bends, None), strict=True):
-        bones = torch.stack([offsets[:, None, joint] for joint in pair], dim=-2)
-        places.append(places[-1] + quat_rotate(turn, bones))
-        turn = turn if bend is None else quat_multiply(turn, bend)
-    return torch.stack(places[-2:], dim=-2).flatten(-3, -2)
+    columns = feature_layout(space.layout)
+    root = features[..., columns.blocks["root_rotation"]]
+    turn = sixd_to_matrix(root) if columns.root_is_sixd else expmap_to_matrix(root.movedim(-1, 0))
+    first = columns.blocks["joint_rotations"].start
+    expmaps = features[..., first : first + 6 * LEG].unflatten(-1, (2, LEG, 3))[..., :-1, :]
+    references = space.reference_matrices[..., LEGS].unflatten(-1, (2, LEG))[..., :-1].mT[..., None, None]
+    bends = multiply(references, expmap_to_matrix(expmaps.permute(4, 3, 2, 0, 1)))
+    bones = offsets[:, LEGS].unflatten(1, (2, LEG)).permute(2, 3, 1, 0)[..., None]
+    turn = turn[:, :, None]  # of both legs
+    places = [rotate(turn, bones[0])]
+    for bend, bone in zip(bends.unbind(2), bones[1:], strict=True):
+        turn = multiply(turn, bend)
+        places.append(places[-1] + rotate(turn, bone))
+    return torch.stack(places[-2:], dim=2).flatten(1, 2).permute(2, 3, 1, 0)
 
 
 def fk_loss(
@@ -177,10 +180,11 @@ def fk_loss(
         step_weight: weight of the step loss, as one number or per frame (B, T).
         foot_term: "paper" for the slip of eq. 8 as it is written (paper_foot_slip).
     """
-    features, truth = space.denormalize(prediction.mean), space.denormalize(batch.targets)
+    features = space.denormalize(prediction.mean)
     predicted = foot_positions(features, batch.offsets, space)
-    with torch.no_grad():
-        true = foot_positions(truth, batch.offsets, space)
+    with torch.no_grad():  # of targets and inputs at once
+        recorded = space.denormalize(torch.cat([batch.targets, batch.inputs]))
+        true, start = foot_positions(recorded, batch.offsets.repeat(2, 1, 1), space).chunk(2)
     loss = _mean(safe_norm((predicted - true) / FOOT_UNIT).sum(-1), batch.mask)
     heights = space.root_height(features)
     if slip_weight and foot_term == "paper":
@@ -193,12 +197,12 @@ def fk_loss(
         loss = loss + slip_weight * _mean((both * slip).sum(-1), batch.mask[:, 1:])
     if isinstance(step_weight, Tensor) or step_weight:
         with torch.no_grad():
-            current = space.denormalize(batch.inputs[:, 1:])
-            start = (foot_positions(current, batch.offsets, space), space.root_height(current))
+            truth, current = recorded.chunk(2)
             height = space.root_height(truth)
             true_moves = _foot_moves(truth[:, 1:], true[:, 1:], true[:, :-1], height[:, :-1], space)
             low = (1.0 - (true[:, 1:, :, 1] + height[:, 1:, None]) / NEAR_GROUND).clamp(0.0, 1.0)
-        moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, space)
+        from_input = (start[:, 1:], space.root_height(current)[:, 1:])
+        moves = _foot_moves(features[:, 1:], predicted[:, 1:], *from_input, space)
         # Vertical movement does not count: a body that is too high or too low must be free to come back.
         off = (moves - true_moves)[..., ::2].abs().sum(-1) / FOOT_UNIT
         weights = step_weight[:, 1:] if isinstance(step_weight, Tensor) else step_weight
@@ -234,11 +238,12 @@ def _foot_moves(
     features are unnormalised ones of the later frames; feet, before and height_before are in cm.
     """
     blocks = feature_layout(space.layout).blocks
-    turn = features[..., blocks["root_yaw_velocity"]] / space.fps
+    turn = features[..., blocks["root_yaw_velocity"].start] / space.fps
     step = features[..., blocks["root_xz_velocity"]] / space.fps
     lift = (space.root_height(features) - height_before)[..., None]
     step = torch.stack([step[..., 0], lift[..., 0], step[..., 1]], dim=-1)
-    return feet + step[:, :, None] - quat_rotate(quat_from_yaw(-turn), before)
+    seen = rotate(yaw_to_matrix(-turn)[:, :, None], before.permute(3, 2, 0, 1)).permute(2, 3, 1, 0)
+    return feet + step[:, :, None] - seen
 
 
 def consistency_loss(
