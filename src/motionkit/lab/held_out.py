@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from motionkit.motion.skeleton import Skeleton
 
 INITIAL = (INIT_FRAMES, 30)  # numbers of initial frames: the paper's, and 30 for sequences too short for it
 LEAST_REST = 30  # fewest frames to generate
+SAME = (
+    0.02  # difference of pose embeddings up to which poses are the same, but for the 16 bits of a model file
+)
 
 # A function of a sequence and its number that returns features (T, 276) of the frames to generate.
 Continue = Callable[["HeldOut", int], Array]
@@ -58,6 +61,30 @@ def held_out(
             most = int(np.bincount(data.types[initial : initial + frames]).argmax())
             out.append(HeldOut(clip, data, initial, frames, dataset.types[most]))
     return out
+
+
+def in_references(model: MotionModel, dataset: Dataset, clips: Sequence[Clip]) -> list[str]:
+    """Return the names of clips whose recording, or its mirror image, is among a model's reference clips.
+
+    A reference clip is known by its first, middle and last pose.
+    """
+    marks = [
+        (reference.poses[[0, middle, last]], (middle, last))
+        for kind in model.types.values()
+        for reference in kind.reference_clips
+        for middle, last in [((len(reference) - 1) // 2, len(reference) - 1)]
+    ]
+
+    def holds(clip: Clip) -> bool:
+        shown = model.pose_embedding.of(dataset.read(clip).features)
+        for poses, places in marks:
+            for start in np.flatnonzero(np.abs(shown - poses[0]).max(axis=1) < SAME).tolist():
+                found = shown[[min(start + place, len(shown) - 1) for place in places]]
+                if np.abs(found - poses[1:]).max() < SAME:
+                    return True
+        return False
+
+    return [each.name for each in clips if holds(each) or holds(replace(each, mirrored=not each.mirrored))]
 
 
 def compared(

@@ -11,6 +11,8 @@ import pytest
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import shape_path
 from motionkit.data.dataset import Dataset
+from motionkit.features.reference import REFERENCE_OFFSETS
+from motionkit.lab.held_out import in_references
 from motionkit.lab.scoreboard.board import evaluate
 from motionkit.lab.scoreboard.classes import classes_section
 from motionkit.lab.scoreboard.limits import acceleration_limit, turn_limit
@@ -31,6 +33,7 @@ from motionkit.lab.scoreboard.visible import visible_section
 from motionkit.metrics.body import body_of
 from motionkit.metrics.leaps import fastest_turn
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import ReferenceClip
 from motionkit.motion.motion import Motion
 from motionkit.training.verdict.real import RealMotion
 from motionkit.training.verdict.rolling import Driven
@@ -221,6 +224,23 @@ def test_reconstruction_scores_ground_truth_baselines_and_model(
     assert mpjpe.highest == rows["all", "nearest clip"][5] and mpjpe.value == rows["all", "model"][5]
     assert against["ssim-window against the nearest clip"].lowest == rows["all", "nearest clip"][4]
     assert len(held_out_clips(tiny_model, dataset, 0.6)) == 1
+
+
+def test_held_out_recordings_among_the_references_are_named(
+    make_trial, dataset: Dataset, tiny_model: MotionModel
+) -> None:
+    """A network that is shown where its own recording goes continues it too well."""
+    clip = replace(dataset.select("test")[0], mirrored=True)
+    data = dataset.read(clip)
+    kind = dataset.types[int(data.types[0])]
+    poses = dataset.pose_embedding.of(data.features)
+    shown = ReferenceClip(poses, data.ground[: -REFERENCE_OFFSETS[-1]], data.phases[: -REFERENCE_OFFSETS[-1]])
+    types = {name: replace(each, reference_clips=()) for name, each in tiny_model.types.items()}
+    assert in_references(replace(tiny_model, types=types), dataset, dataset.select("test")) == []
+    model = replace(tiny_model, types=types | {kind: replace(types[kind], reference_clips=(shown,))})
+    assert in_references(model, dataset, dataset.select("test")) == [clip.name]
+    section = reconstruction_section(replace(make_trial(), model=model), quiet)
+    assert section.notes[0].endswith(f"as references: {clip.name}")
 
 
 def test_reconstruction_without_clips_says_why(

@@ -18,7 +18,15 @@ from motionkit.features.control import Controls, blend_types, future_trajectory
 from motionkit.inference.rollout import RolloutState, run
 from motionkit.inference.start import INIT_FRAMES
 from motionkit.lab.floors import last_frame, motion_matching, nearest_clip
-from motionkit.lab.held_out import LEAST_REST, Continue, HeldOut, compared, decoded, held_out
+from motionkit.lab.held_out import (
+    LEAST_REST,
+    Continue,
+    HeldOut,
+    compared,
+    decoded,
+    held_out,
+    in_references,
+)
 from motionkit.lab.scoreboard.report import Goal, Section, at_most
 from motionkit.lab.scoreboard.settings import EvaluationSettings
 from motionkit.lab.scoreboard.trial import Trial
@@ -153,7 +161,8 @@ def reconstruction_section(trial: Trial, progress: Progress) -> Section:
         Table("Metrics per type", ("type", "motion", *METRICS), rows),
         Table("Held-out clips", ("type", "clips", "seconds compared"), counts),
     ]
-    return Section("reconstruction", title, tables, _goals(means), _notes(settings))
+    known = in_references(model, dataset, [clip.clip for clip in clips])
+    return Section("reconstruction", title, tables, _goals(means), _notes(settings, known))
 
 
 def _measured(trial: Trial, clips: list[HeldOut], progress: Progress) -> Means:
@@ -213,8 +222,10 @@ def _baselines(
     return out | {name: decoded(trial.dataset, clip, make(clip, 0), body) for name, make in floors.items()}
 
 
-def _notes(settings: EvaluationSettings) -> list[str]:
+def _notes(settings: EvaluationSettings, known: list[str]) -> list[str]:
+    seen = f"too good, because the model has recordings of these clips as references: {', '.join(known)}"
     return [
+        *([seen] if known else []),
         f"{settings.repeats} roll-outs per held-out clip start from its first {INIT_FRAMES} frames, use its types, "
         "phase and trajectory, which is asked for where it lies on the ground, as a path is, and last at most "
         f"{settings.reconstruction_seconds:g} s; metrics (docs/metrics.md) are means over frames, in cm, and in "
