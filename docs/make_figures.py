@@ -224,7 +224,7 @@ def reference_poses(model: MotionModel) -> Any:
     kind, frames = "dance-salsa", 240
     stream = mk.CharacterStream(model, seed=3)
     stream.reset(0, type=kind)
-    player = ReferencePlayer(model, choice=3)
+    player = ReferencePlayer(model, choice=1)
     player.begin(kind, last_poses(model, type_start(model, kind).features[0]))
     shown, made = [], []
     for _ in range(frames):
