@@ -94,8 +94,9 @@ def pack(folder: Path, output: Path) -> None:
     print(f"{output}: {len(wrong)} of {len(columns)} frames as they are", flush=True)
 
 
-def unpack(folder: Path, output: Path) -> Path:
-    """Write the dataset folder of a packed one, and return it; what is there is kept."""
+def unpack(job: Path, name: str) -> Path:
+    """Write the dataset folder of a packed one of a job, and return it; what is there is kept."""
+    folder, output = job / name, job / "unpacked" / name
     if output.exists():
         return output
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -156,7 +157,7 @@ def times(job: Path, arguments: argparse.Namespace) -> None:
         precision=arguments.precision,
     )
     run = TrainingRun(
-        Dataset(unpack(job / "free", job / "unpacked" / "free")),
+        Dataset(unpack(job, "free")),
         job / "m.safetensors",
         options,
         device=str(device),
@@ -209,7 +210,7 @@ def _together(
 ) -> float:
     """Train networks side by side, and return the seconds of the second half of their steps."""
     device = torch.device(arguments.device)
-    dataset = select(unpack(job / "paper", job / "unpacked" / "paper"), "D_L")
+    dataset = select(unpack(job, "paper"), "D_L")
     stacks = []
     for each in map(variant, names):
         options = options_of(Plan(job, budget="long", steps=steps), each, 0)
@@ -237,7 +238,7 @@ def laboratory(job: Path, arguments: argparse.Namespace) -> None:
 
 
 def _plan(job: Path, selection: str, device: str, steps: int | None = None) -> Plan:
-    data = unpack(job / "paper", job / "unpacked" / "paper")
+    data = unpack(job, "paper")
     return Plan(data, selection, "long", steps, job / "results", job / "models", 120, device)
 
 
@@ -288,13 +289,13 @@ def bundled(job: Path, arguments: argparse.Namespace) -> None:
         if event.kind == "note" or (event.kind == "log" and event.step % 1000 == 0):
             print(event.kind, event.step, round(event.seconds), event.text or event.losses, flush=True)
 
-    data = unpack(job / "free", job / "unpacked" / "free")
+    data = unpack(job, "free")
     train(data, job / "bundled.safetensors", options, device=arguments.device, on_event=said)
 
 
 def calibrate(job: Path, arguments: argparse.Namespace) -> None:
     """Add the sampling presets, which take processors minutes, to what `bundled` wrote."""
-    dataset, frames = Dataset(unpack(job / "free", job / "unpacked" / "free")), 300
+    dataset, frames = Dataset(unpack(job, "free")), 300
     path = job / "bundled.safetensors"
     model = load_model(path)
     model = with_presets(model, "reference_gain", calibrated_gains(model, dataset, frames))
@@ -309,7 +310,7 @@ def run_all(job: Path, arguments: argparse.Namespace) -> None:
     output.mkdir(parents=True, exist_ok=True)
     ready.unlink(missing_ok=True)
     for name in ("paper", "free"):
-        unpack(job / name, job / "unpacked" / name)
+        unpack(job, name)
     more = ["--device", arguments.device, "--seeds", str(arguments.seeds), "--names", *arguments.names]
 
     def begin(name: str, *words: str) -> subprocess.Popen[bytes]:

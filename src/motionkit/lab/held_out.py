@@ -69,18 +69,18 @@ def in_references(model: MotionModel, dataset: Dataset, clips: Sequence[Clip]) -
     A reference clip is known by its first, middle and last pose.
     """
     marks = [
-        (reference.poses[[0, middle, last]], (middle, last))
+        (reference.poses[places], places)
         for kind in model.types.values()
         for reference in kind.reference_clips
-        for middle, last in [((len(reference) - 1) // 2, len(reference) - 1)]
+        for places in [np.array([0, (len(reference) - 1) // 2, len(reference) - 1])]
     ]
 
     def holds(clip: Clip) -> bool:
         shown = model.pose_embedding.of(dataset.read(clip).features)
         for poses, places in marks:
-            for start in np.flatnonzero(np.abs(shown - poses[0]).max(axis=1) < SAME).tolist():
-                found = shown[[min(start + place, len(shown) - 1) for place in places]]
-                if np.abs(found - poses[1:]).max() < SAME:
+            for start in np.flatnonzero(np.abs(shown - poses[0]).max(axis=1) < SAME):
+                found = shown[np.minimum(start + places, len(shown) - 1)]
+                if np.abs(found - poses).max() < SAME:
                     return True
         return False
 
