@@ -107,3 +107,13 @@ def reading(
         yield
     finally:
         _settings.reset(token)
+
+
+@contextmanager
+def as_found() -> Iterator[None]:
+    """Read files within the block as those of a rig, of whose up axis, unit and joints the user says nothing."""
+    token = _settings.set(replace(_settings.get(), up=None, cm=None, joints=None))
+    try:
+        yield
+    finally:
+        _settings.reset(token)

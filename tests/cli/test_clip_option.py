@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.export.clip import rig_clip
-from motionkit.export.formats import write_motion
+from motionkit.export.formats import read_motion, write_motion
 from motionkit.finish.on_rig import on_rig
+from motionkit.motion.kinematics import motion_kinematics
 from motionkit.rig.on_rig import read_rig
 from rig.test_character import parts, write
 from rig.test_gltf_rig import character
@@ -67,6 +70,36 @@ def test_all_of_them(motionkit, hero: Path, tmp_path: Path) -> None:
     done = motionkit("doctor", ".", "--clip", "all", "--json")
     assert done.code == 0 and '"hero.glb#gait 180"' in done.out and "bare.glb: has no animation" in done.out
     assert motionkit("convert", "hero.glb", "b.bvh", "--clip", "all", "--name", "x").code == 0
+    done = motionkit("convert", "hero.glb", "c.bvh", "--clip", "all", "--json")
+    assert [one["output"] for one in json.loads(done.out)] == ["c-gait 180.bvh", "c-gait 120.bvh"]
+    refused = motionkit("convert", "hero.glb", "-", "--clip", "all")
+    assert refused.code == 2 and "--clip all cannot be combined with standard output" in refused.err
+
+
+def test_all_of_a_folder_overwrite_nothing(motionkit, hero: Path, tmp_path: Path) -> None:
+    """A clip of a folder may have the name of an animation's file."""
+    write_motion(tmp_path / "hero-gait 120.bvh", make_walk(30))
+    refused = motionkit("convert", ".", "../out", "--clip", "all")
+    assert refused.code == 2 and "out/hero-gait 120.bvh: would be written twice" in refused.err
+    (tmp_path / "hero-gait 120.bvh").rename(tmp_path / "other.bvh")
+    done = motionkit("convert", ".", "../out", "--clip", "all")
+    assert "2 of 3 files written" in done.out and "bare.glb: has no animation" in done.err
+    made = sorted(path.name for path in (tmp_path.parent / "out").iterdir())
+    assert made == ["hero-gait 120.bvh", "hero-gait 180.bvh", "other.bvh"]
+
+
+def test_a_true_unit_changes_nothing(motionkit, hero: Path, tmp_path: Path) -> None:
+    """glTF is in metres."""
+    places = []
+    for unit in ((), ("--unit", "m")):
+        for made in ("a.npz", "a.glb"):
+            done = motionkit("convert", "hero.glb", made, "--clip", "gait 120", "--replace", *unit)
+            assert done.code == 0, done.err
+        with np.load(tmp_path / "a.npz") as found:
+            places.append(found["positions"])
+        places.append(motion_kinematics(read_motion(tmp_path / "a.glb"))[1])
+    assert np.abs(places[2] - places[0]).max() < 1e-3
+    assert np.abs(places[3] - places[1]).max() < 1e-3
 
 
 def test_the_written_animation(motionkit, hero: Path, tmp_path: Path, tiny_model_file: Path) -> None:

@@ -15,7 +15,10 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_inverse
 from motionkit.rig.retarget import retarget_file
 from motionkit.rig.up_axis import named_up, turned_world, up_turn
+from motionkit.rig.upright import Upright
 from synthetic_motions import make_walk
+
+from .conftest import page_data
 
 SWAPPED = {"UpLeg": "Arm", "Leg": "ForeArm", "Foot": "Hand", "Arm": "UpLeg", "ForeArm": "Leg", "Hand": "Foot"}
 TAKEN = ("--up", "-x", "--unit", "7.3", "--map", "map.json")
@@ -88,6 +91,20 @@ def test_retarget_takes_it_of_the_source_alone(motionkit, tmp_path: Path) -> Non
     places = motion_kinematics(read_motion(tmp_path / "a.bvh"))[1]
     assert np.abs(places - motion_kinematics(make_walk(150))[1]).max() < 1.0
     assert retarget_file(tmp_path / "a.bvh")[1].scale == 1.0
+
+
+def test_a_rig_to_write_on_is_read_as_ever(motionkit, tmp_path: Path) -> None:
+    """What is said of the clips does not hold for the rig of --rig."""
+    (tmp_path / "odd" / "again.bvh").write_bytes((tmp_path / "odd" / "walk.bvh").read_bytes())
+    taken = (*TAKEN, "--rig", "@lafan1")
+    joined = motionkit("join", "odd/walk.bvh", "odd/again.bvh", *taken, "-o", "a.bvh")
+    assert joined.code == 0, joined.err
+    made = Upright.of(read_motion(tmp_path / "a.bvh"))
+    assert made.up[1] == 1.0 and 80.0 < made.positions[:, 0, 1].mean() < 110.0
+    shown = motionkit("view", "odd/walk.bvh", *taken, "-o", "a.html", "--no-open")
+    assert shown.code == 0, shown.err
+    (drawn,) = page_data(tmp_path / "a.html")["motions"]
+    assert (drawn["scale"], drawn["unit"]) == (0.01, "detected from leg length: centimetres")
 
 
 @pytest.mark.parametrize(

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from motionkit.editing.root_motion import at_origin, ground_track, in_place, with_ground_root
+from motionkit.editing.root_motion import at_origin, ground_track, in_place, root_bone, with_ground_root
 from motionkit.errors import SkeletonError
 from motionkit.export.formats import read_motion, write_motion
 from motionkit.features.heading import heading_angles
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_multiply, quat_rotate, quat_to_expmap
+from motionkit.motion.rotations import (
+    quat_between,
+    quat_identity,
+    quat_inverse,
+    quat_multiply,
+    quat_rotate,
+    quat_to_expmap,
+)
+from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.canonical import canonical_motion
 from motionkit.rig.upright import Upright
 from synthetic_motions import make_walk
@@ -82,10 +91,84 @@ def test_a_root_bone_that_is_there_is_used(clip: Motion) -> None:
     twice = with_ground_root(once)
     assert twice.skeleton.names == once.skeleton.names
     assert np.abs(motion_kinematics(twice)[1] - motion_kinematics(once)[1])[:, 1:].max() < 0.01
-    names = (*once.skeleton.names[:-1], "Root")
-    hand = replace(clip, skeleton=replace(clip.skeleton, names=names[1:]))
-    with pytest.raises(SkeletonError, match="Root already"):
-        with_ground_root(hand)
+    names = list(clip.skeleton.names)
+    names[-1] = "root"
+    assert with_ground_root(_called(clip, names)).skeleton.names[0] == "Ground"
+    names[-2] = "ground"
+    with pytest.raises(SkeletonError, match="Root and Ground already"):
+        with_ground_root(_called(clip, names))
+
+
+def _called(clip: Motion, names: Sequence[str]) -> Motion:
+    """A clip whose joints have other names."""
+    return replace(clip, skeleton=replace(clip.skeleton, names=tuple(names)))
+
+
+def test_hips_called_root_are_no_root_bone(clip: Motion) -> None:
+    made = _called(clip, ["root", *clip.skeleton.names[1:]])
+    assert root_bone(made.skeleton) is None
+    still = in_place(made)
+    expected = in_place(clip)
+    assert np.abs(motion_kinematics(still)[1] - motion_kinematics(expected)[1]).max() < 1e-3
+    grounded = with_ground_root(made)
+    assert grounded.skeleton.names[:2] == ("Ground", "root")
+    before = motion_kinematics(clip)[1]
+    assert np.abs(motion_kinematics(grounded)[1][:, 1:] - before).max() < 2e-4 * np.abs(before).max()
+
+
+def _with_root_bone(clip: Motion, ik_joint: int) -> Motion:
+    """A clip below a root bone at rest, which has a second child that is keyed on a joint."""
+    skeleton = clip.skeleton
+    positions = motion_kinematics(clip)[1]
+    offsets = np.concatenate([np.zeros((2, 3), np.float32), skeleton.offsets])
+    still = clip.local_positions
+    moved = np.broadcast_to(skeleton.offsets, positions.shape).copy() if still is None else still.copy()
+    moved[:, 0] = clip.root_positions
+    none = np.zeros((len(clip), 1, 3), np.float32)
+    moved = np.concatenate([none, positions[:, ik_joint : ik_joint + 1], moved], axis=1).astype(np.float32)
+    rotations = np.concatenate([quat_identity((len(clip), 2)), clip.local_rotations], axis=1)
+    parents = (-1, 0, *(0 if parent < 0 else parent + 2 for parent in skeleton.parents))
+    names = ("root", "ik_foot_l", *skeleton.names)
+    ends = {joint + 2: end for joint, end in skeleton.end_sites.items()}
+    return Motion(Skeleton(names, parents, offsets, ends), rotations, none[:, 0], clip.fps, moved)
+
+
+def test_all_children_of_a_root_bone_stay_where_they_are(clip: Motion) -> None:
+    foot = clip.skeleton.names.index("LeftFoot")
+    bone = _with_root_bone(clip, foot)
+    size = np.abs(motion_kinematics(bone)[1]).max()
+    assert root_bone(bone.skeleton) == 2
+    for made in (with_ground_root(bone), in_place(bone)):
+        positions = motion_kinematics(made)[1]
+        assert np.abs(positions[:, 1] - positions[:, 2 + foot]).max() < 2e-4 * size
+    track = with_ground_root(bone).root_positions
+    assert np.linalg.norm(track - with_ground_root(clip).root_positions, axis=-1).max() < 0.1 * np.ptp(track)
+
+
+def test_joints_before_the_hips_do_not_change_the_track(clip: Motion) -> None:
+    """The root bone follows the hips, wherever they stand among the rig's joints."""
+    track = with_ground_root(_with_root_bone(clip, 0)).root_positions
+    expected = with_ground_root(clip).root_positions
+    assert np.abs(track - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_a_root_bone_rests_upright_on_rigs_with_z_up() -> None:
+    walk, turn = make_walk(100), quat_between(np.array([0, 1, 0]), np.array([0, 0, 1])).astype(np.float32)
+    back = quat_inverse(turn)
+    rotations = quat_multiply(quat_multiply(turn, walk.local_rotations), back)
+    skeleton = replace(walk.skeleton, offsets=quat_rotate(turn, walk.skeleton.offsets).astype(np.float32))
+    upward = replace(
+        walk,
+        skeleton=skeleton,
+        local_rotations=rotations.astype(np.float32),
+        root_positions=quat_rotate(turn, walk.root_positions).astype(np.float32),
+    )
+    made, expected = with_ground_root(upward), with_ground_root(walk)
+    assert np.abs(quat_to_expmap(made.local_rotations[:, 0])[:, :2]).max() < 1e-3
+    hips = made.skeleton.offsets[1]
+    assert np.abs(hips - quat_rotate(turn, expected.skeleton.offsets[1])).max() < 0.05 < hips[2]
+    again = with_ground_root(made)
+    assert np.abs(quat_to_expmap(again.local_rotations[:, 0])[:, :2]).max() < 1e-3
 
 
 def test_a_ground_root_survives_the_files(tmp_path: Path) -> None:

@@ -7,12 +7,50 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import PLACE, animations_option, clip_options, fps_option, gathered, json_option
+from motionkit.cli.common import (
+    PLACE,
+    animations_option,
+    clip_options,
+    fps_option,
+    gathered,
+    json_option,
+    print_json,
+)
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import OutputOptions, animation_options, body_option
+from motionkit.cli.outputs import STDOUT, OutputOptions, animation_options, body_option, display_name
 from motionkit.cli.rig_options import RootMotion, root_options
-from motionkit.errors import naming
+from motionkit.errors import MotionkitError, naming
 from motionkit.names import counted
+from motionkit.reading import ALL, user_animation
+
+
+def _targets(source: Path, target: Path) -> list[tuple[str | None, Path]]:
+    """The animations to convert and their files: one, or with --clip all TARGET with the name of each."""
+    from motionkit.files import check_outputs, safe_name
+    from motionkit.rig.gltf import GltfFile
+    from motionkit.rig.read_file import is_gltf
+    from motionkit.rig.read_glb import clip_lengths
+
+    if user_animation() != ALL or not is_gltf(source):
+        return [(None, target)]
+    if target == STDOUT:
+        raise click.UsageError(
+            "--clip all cannot be combined with standard output (-), which gets one motion"
+        )
+    names = [name for name, _ in clip_lengths(GltfFile(source))]
+    if not names:
+        raise MotionkitError(f"{source}: has no animation")
+    files = [target.with_name(f"{target.stem}-{safe_name(name, 80)}{target.suffix}") for name in names]
+    check_outputs(files, [source])
+    return list(zip(names, files, strict=True))
+
+
+def _files(source: Path, target: Path) -> list[Path]:
+    """The files that a clip of a folder is written to; TARGET for a clip that cannot be read, which fails later."""
+    try:
+        return [file for _, file in _targets(source, target)]
+    except MotionkitError:
+        return [target]
 
 
 @click.command("convert")
@@ -25,7 +63,7 @@ from motionkit.names import counted
 @animation_options
 @body_option(".glb and .usda")
 @json_option
-@folders("source", "target")
+@folders("source", "target", written=_files)
 @gathered("root_motion", RootMotion)
 def command(
     source: Path,
@@ -48,8 +86,11 @@ def command(
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample
 
+    written = []
     for clip_name, file in _targets(source, target):
-        outputs = OutputOptions(file, False, as_json, name, alone).files("", [source])
+        output_options = OutputOptions(file, False, as_json, name, alone)
+        output_options.check()
+        outputs = output_options.files("", [source])
         clip = read_clip(source, clip_name)
         motion = clip.motion if fps is None else resample(clip.motion, fps)
         with naming(source):
@@ -63,21 +104,11 @@ def command(
             "fps": motion.fps,
             "joints": joints,
         }
-        wrote = f"wrote {file}: {counted(joints, 'joint')}, {counted(frames, 'frame')} at {motion.fps:g} fps"
-        outputs.report(facts, [wrote], (source, clip.in_file()))
-
-
-def _targets(source: Path, target: Path) -> list[tuple[str | None, Path]]:
-    """The animations to convert and their files: one, or with --clip all TARGET with the name of each."""
-    from motionkit.files import check_outputs, safe_name
-    from motionkit.reading import ALL, user_animation
-    from motionkit.rig.gltf import GltfFile
-    from motionkit.rig.read_file import is_gltf
-    from motionkit.rig.read_glb import clip_lengths
-
-    if user_animation() != ALL or not is_gltf(source):
-        return [(None, target)]
-    names = [name for name, _ in clip_lengths(GltfFile(source))]
-    files = [target.with_name(f"{target.stem}-{safe_name(name, 80)}{target.suffix}") for name in names]
-    check_outputs(files, [source])
-    return list(zip(names, files, strict=True))
+        read = source, clip.in_file()
+        if as_json:
+            written.append(outputs.facts(facts, read))
+            continue
+        made = f"{counted(joints, 'joint')}, {counted(frames, 'frame')} at {motion.fps:g} fps"
+        outputs.report(facts, [f"wrote {display_name(file)}: {made}"], read)
+    if as_json:
+        print_json(written if user_animation() == ALL else written[0])

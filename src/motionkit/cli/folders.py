@@ -68,12 +68,17 @@ FILES = tuple(
 
 
 def folders(
-    source: str, target: str, forms: tuple[str, ...] = FORMATS, check: Callable[..., Any] = checked_ending
+    source: str,
+    target: str,
+    forms: tuple[str, ...] = FORMATS,
+    check: Callable[..., Any] = checked_ending,
+    written: Callable[[Path, Path], list[Path]] = lambda clip, place: [place],
 ) -> Callable:
     """Let a command take folders; source and target name its arguments. Put this above `gathered`.
 
     A single target is checked for its ending, by `check`, before any work. A source may be a tuple of clips, of which
-    a folder is the only one. forms are the formats that the command writes.
+    a folder is the only one. forms are the formats that the command writes; written gives the files that it writes for
+    a clip and its place in the folder.
     """
 
     def decorate(function: Callable) -> Callable:
@@ -87,19 +92,34 @@ def folders(
                 parameter = next(each for each in context.command.params if each.name == target)
                 check(context, parameter, values[target])
                 return function(**values)
-            return _run_folder(values, place, source, target, form, jobs)
+            return _run_folder(values, _Folder(place, source, target, form, written), jobs)
 
         return whole
 
     return decorate
 
 
-def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, form: str, jobs: int) -> None:
+class _Folder(NamedTuple):
+    """A folder of clips: its place, names of the arguments for clips and files, the format, and `written`."""
+
+    place: Path
+    source: str
+    target: str
+    form: str
+    written: Callable[[Path, Path], list[Path]]
+
+
+def _run_folder(values: dict[str, Any], whole: _Folder, jobs: int) -> None:
     """Run the command on every clip of a folder; raises MotionkitError at the end if some failed."""
     from motionkit.data.workers import worker_processes
     from motionkit.rig.read_file import clips_of
 
+    folder, source, target, form, written = whole
     out = values[target]
+    if values.get("view"):
+        raise click.UsageError(
+            f"--view shows one clip, and {folder} is a folder; motionkit view shows its clips"
+        )
     if out is None or out == STDOUT:
         raise click.UsageError(f"{folder} is a folder; give a folder to write to")
     if out.suffix.lower() in FILES and not out.is_dir():
@@ -108,9 +128,9 @@ def _run_folder(values: dict[str, Any], folder: Path, source: str, target: str, 
         raise OverwriteError(f"{out}: is inside the input folder {folder}; choose another output folder")
     found = clips_of(folder)
     places = [(out / path.relative_to(folder)).with_suffix(f".{form}") for path in found]
-    check_outputs(places, found)
+    check_outputs((file for pair in zip(found, places, strict=True) for file in written(*pair)), found)
     module = importlib.import_module("motionkit.cli.main").COMMANDS[click.get_current_context().info_name]
-    single = values | {"as_json": True, **({"view": False} if "view" in values else {})}
+    single = values | {"as_json": True}
     items = [
         _Job(
             module,

@@ -107,8 +107,9 @@ def command(
     )  # fmt: skip
     made = joined.motion
     whole = sources[0].with_motion(made) if choice.rig is None else choice.clip_of(made, "")
-    outputs.write(replace(whole, name=f"{sources[0].name}-joined"))
-    outputs.show(lambda: [MotionView(outputs.file.stem, made)])
+    with choice.as_written():
+        outputs.write(replace(whole, name=f"{sources[0].name}-joined"))
+        outputs.show(lambda: [MotionView(outputs.file.stem, made)])
     for seam, (first, second) in zip(joined.seams, pairwise(names), strict=True):
         if seam.apart > FAR:
             remark(
@@ -120,9 +121,8 @@ def command(
     short = [Path(name).name for name in names]
     lines += [f"  {seam.sentence(*two)}" for seam, two in zip(joined.seams, pairwise(short), strict=True)]
     facts = {"output": outputs.file, "frames": len(made), "fps": made.fps}
-    seams = [seam.as_dict() for seam in joined.seams]
     read = [(clip, source.in_file()) for clip, source in zip(files, sources, strict=True)]
-    outputs.report(facts | {"seams": seams}, lines, *read)
+    outputs.report(facts | {"seams": [seam.as_dict() for seam in joined.seams]}, lines, *read)
 
 
 def _named(clips: Sequence[Path], animations: tuple[str, ...]) -> list[str | None]:

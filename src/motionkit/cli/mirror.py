@@ -48,7 +48,9 @@ def command(source: Path, target: Path | None, as_json: bool) -> None:
     from motionkit.rig.mirror import mirror_file, mirror_motion
     from motionkit.rig.read_file import is_bvh
 
-    outputs = OutputOptions(target, False, as_json).files(f"{source.stem}-mirrored", [source])
+    output_options = OutputOptions(target, False, as_json)
+    output_options.check()
+    outputs = output_options.files(f"{source.stem}-mirrored", [source])
     if is_bvh(source) and outputs.file.suffix.lower() == ".bvh":
         motion = bvh_to_motion(mirror_file(source, outputs.file))
     else:

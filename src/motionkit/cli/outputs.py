@@ -114,7 +114,9 @@ class OutputOptions:
         """Raise UsageError for options that BVH on standard output excludes."""
         others = {"--view": self.view, "--json": self.as_json, f"--count {count}": count > 1}
         for name in (name for name, used in others.items() if used and self.output == STDOUT):
-            raise click.UsageError(f"{name} cannot be combined with -o -, which writes one motion")
+            raise click.UsageError(
+                f"{name} cannot be combined with standard output (-), which gets one motion"
+            )
 
     def files(
         self, name: str, inputs: Iterable[str | Path | None], count: int = 1, also: Sequence[Path] = ()
@@ -212,19 +214,27 @@ class Outputs:
 
         Both end with how the clips were read: their files, and their motions as in the files.
         """
-        if self.replaced:
-            more = f" and {counted(len(self.replaced) - 1, 'other file')}" if len(self.replaced) > 1 else ""
-            remark(f"replaced {self.replaced[0]}{more}")
-        words = [describe_input(motion) for _, motion in read]
         if self.as_json:
-            page = {"view": self.page} if self.page else {}
-            read_as: Any = words[0] if len(words) == 1 else words
-            print_json(facts | ({"taken": read_as} if read else {}) | page)
+            print_json(self.facts(facts, *read))
             return
+        self._say_replaced()
+        words = [describe_input(motion) for _, motion in read]
         for line in (*lines, *input_lines([clip for clip, _ in read], words)):
             self.console.print(line)
         if self.page:
             self.console.print(f"wrote {self.page}")
+
+    def facts(self, facts: dict[str, Any], *read: tuple[Path, Motion]) -> dict[str, Any]:
+        """What report prints with --json, for a command that prints several results as one document."""
+        self._say_replaced()
+        words = [describe_input(motion) for _, motion in read]
+        read_as: Any = words[0] if len(words) == 1 else words
+        return facts | ({"taken": read_as} if read else {}) | ({"view": self.page} if self.page else {})
+
+    def _say_replaced(self) -> None:
+        if self.replaced:
+            more = f" and {counted(len(self.replaced) - 1, 'other file')}" if len(self.replaced) > 1 else ""
+            remark(f"replaced {self.replaced[0]}{more}")
 
 
 def describe_input(motion: Motion) -> str:

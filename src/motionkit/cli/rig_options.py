@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ import click
 
 from motionkit.cli.common import EXISTING_FILE, eager_option, gathered, option, say, strict_option, together
 from motionkit.errors import MotionkitError
+from motionkit.reading import as_found
 
 if TYPE_CHECKING:
     from motionkit.export.clip import Clip
@@ -149,6 +151,10 @@ class RigChoice:
         """The .glb or .vrm file that the rig is from, or None."""
         return None if self.rig is None else self.rig.character
 
+    def as_written(self) -> AbstractContextManager[None]:
+        """Read the written motion within the block: on a rig, without what the user says of clips."""
+        return nullcontext() if self.rig is None else as_found()
+
     def on_rig(self, motion: Motion, ik: bool, drawn: Unfinished | None = None) -> Motion:
         """A canonical motion on the rig; ik holds the feet of the rig.
 
@@ -195,8 +201,9 @@ def open_rig(rig_path: Path | None, map_path: Path | None = None, clip_path: Pat
     from motionkit.rig.built_in import rig_rate
     from motionkit.rig.on_rig import read_clip, read_rig
 
-    rig = read_rig(rig_path, map_path)
-    clip = None if clip_path is None else read_clip(clip_path, rig)
+    with as_found():
+        rig = read_rig(rig_path, map_path)
+        clip = None if clip_path is None else read_clip(clip_path, rig)
     files = tuple(path for path in (rig_path, map_path, clip_path) if path is not None)
     return RigChoice(rig, clip, files, fps=rig_rate(rig_path))
 

@@ -114,7 +114,7 @@ def command(
         _read_view(clip, visible(name), choice.rig) for clip, name in zip(clips, _names(clips), strict=True)
     ]
     views = [replace(one, path=path, body=body) for one, _ in read]
-    with Stages() as show:
+    with Stages() as show, choice.as_written():
         write_views(target, views, progress=lambda done, total: show("drawing", done, total), **sizes)
     read_as = [words for _, words in read]
     if target.suffix.lower() == ".html" and opens and not as_json:

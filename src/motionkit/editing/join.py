@@ -29,7 +29,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import quat_continuous, quat_slerp
 from motionkit.motion.skeleton import Skeleton, spoken
-from motionkit.reading import reading
+from motionkit.reading import as_found, reading
 from motionkit.rig.names import map_rig
 from motionkit.rig.on_rig import on_the_floor
 from motionkit.rig.retarget import retarget
@@ -175,7 +175,8 @@ def _on_one_rig(motions: Sequence[Motion], rig: Rig | None, names: Sequence[str]
     """The motions on one rig, that of the first by default, in cm with Y up and on the floor of the first."""
     target = Upright.of(motions[0])
     if rig is not None:
-        scale = guess_scale(rig.leg)[0]
+        with as_found():
+            scale = guess_scale(rig.leg)[0]
         if _same(target.motion.skeleton, rig.skeleton.scaled(scale)):
             target = replace(target, scale=scale, up=rig.up, rig=rig.skeleton)
         else:

@@ -16,15 +16,21 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
     quat_continuous,
     quat_from_yaw,
+    quat_identity,
     quat_inverse,
     quat_multiply,
     quat_rotate,
 )
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.names import map_rig
+from motionkit.rig.up_axis import rest_up, up_turn
 from motionkit.rig.upright import Upright, relative_rotation
 
-_ROOT_NAMES = ("root", "reference")
-ROOT = "Root"  # name of the bone on the floor
+_ROOT_BONES = ("root", "reference", "ground")
+_ADDED = (
+    "Root",
+    "Ground",
+)  # names of an added root bone, the first that is free; engines ignore the case of letters
 SMOOTHING_SECONDS = 0.25  # s, smoothing of the ground track; the sway of steps stays with the hips
 
 
@@ -34,9 +40,11 @@ def ground_track(upright: Upright, cyclic: bool = False) -> Array:
     Args:
         cyclic: the last frame equals the first, apart from its place; the track then has equal steps at both ends.
     """
+    # Canonical joints begin with the hips; a rig that is not human has its own joints.
+    body = 0 if upright.canonical is not None else root_bone(upright.motion.skeleton) or 0
     track = np.concatenate(
         [
-            upright.positions[:, root_bone(upright.motion.skeleton) or 0, [0, 2]].astype(np.float64),
+            upright.positions[:, body, [0, 2]].astype(np.float64),
             upright.heading[:, None].astype(np.float64),
         ],
         axis=1,
@@ -70,7 +78,7 @@ def in_place(motion: Motion, cyclic: bool = False) -> Motion:
     """The motion without its ground track; the hips keep their height, sway and turns."""
     body = root_bone(motion.skeleton)
     if body is not None:  # which stays below the body
-        motion = _on_root_bone(motion, body, cyclic)
+        motion = _on_root_bone(motion, cyclic)
     upright = Upright.of(motion)
     track = ground_track(upright, cyclic)[:, :2] if body is None else upright.motion.root_positions[:, [0, 2]]
     roots = upright.motion.root_positions.copy()
@@ -98,34 +106,59 @@ def at_origin(motion: Motion, cyclic: bool = False) -> Motion:
 def root_bone(skeleton: Skeleton) -> int | None:
     """The child of a root bone that carries the body; None if the first joint is no root bone but the hips.
 
-    A root bone stands on the floor and is called root or reference, with any prefix.
+    A root bone stands on the floor and is called root, reference or ground, with any prefix. Hips may be called root
+    too, as in Acclaim files: then the legs do not hang below the child.
     """
     name = skeleton.names[0].rpartition(":")[2].rpartition("|")[2].strip("_ ").lower()
-    if name not in _ROOT_NAMES:
+    if name not in _ROOT_BONES:
         return None
     sizes = {
         child: sum(skeleton.descends(joint, child) for joint in range(len(skeleton)))
         for child in skeleton.children(0)
     }
     child = max(sizes, key=sizes.__getitem__, default=None)
-    return child if child is not None and 2 * sizes[child] > len(skeleton) else None
+    if child is None or 2 * sizes[child] <= len(skeleton):
+        return None
+    try:
+        places = map_rig(skeleton).places
+    except SkeletonError:
+        return child
+    thighs = [places[part] for part in ("LeftUpLeg", "RightUpLeg") if part in places]
+    return child if all(skeleton.descends(thigh, child) for thigh in thighs) else None
 
 
-def _on_root_bone(motion: Motion, body: int, cyclic: bool) -> Motion:
-    """The motion with the track on its first joint, whose child `body` stays where it is in the world."""
+def _root_frames(upright: Upright, cyclic: bool, height: float) -> tuple[Array, Array]:
+    """Positions (T, 3) and rotations (T, 4) of a root bone on the ground track of a motion.
+
+    Its axes are those of the rig's rest pose, so that it rests upright on rigs with Z up too.
+    """
+    track = ground_track(upright, cyclic)
+    place = np.stack([track[:, 0], np.full(len(track), height), track[:, 1]], axis=-1).astype(np.float32)
+    return place, quat_multiply(quat_from_yaw(track[:, 2]).astype(np.float32), _rest_turn(upright))
+
+
+def _rest_turn(upright: Upright) -> Array:
+    """The rotation (4,) that turns the rest pose of a rig upright, Y up; the identity if it does not stand."""
+    up = rest_up(upright.motion.skeleton)
+    return quat_identity(()) if up is None else up_turn(up)
+
+
+def _on_root_bone(motion: Motion, cyclic: bool) -> Motion:
+    """The motion with the track on its first joint, while all others stay where they are in the world."""
     upright = Upright.of(motion)
     source = upright.motion
-    track, skeleton = ground_track(upright, cyclic), source.skeleton
-    height = np.full(len(source), skeleton.offsets[0, 1])
-    place = np.stack([track[:, 0], height, track[:, 1]], axis=-1).astype(np.float32)
-    turn = quat_from_yaw(track[:, 2]).astype(np.float32)
+    skeleton = source.skeleton
+    place, turn = _root_frames(
+        upright, cyclic, float(quat_rotate(_rest_turn(upright), skeleton.offsets[0])[1])
+    )
     still = np.broadcast_to(skeleton.offsets, (len(source), *skeleton.offsets.shape))
     moved = np.array(still if source.local_positions is None else source.local_positions, np.float32)
     rotations = source.local_rotations.copy()
-    old = rotations[:, 0]
-    at = source.root_positions + quat_rotate(old, moved[:, body])
-    rotations[:, body] = relative_rotation(turn, quat_multiply(old, rotations[:, body]))
-    moved[:, body] = quat_rotate(quat_inverse(turn), at - place)
+    old = rotations[:, 0].copy()
+    for child in skeleton.children(0):
+        at = source.root_positions + quat_rotate(old, moved[:, child])
+        rotations[:, child] = relative_rotation(turn, quat_multiply(old, rotations[:, child]))
+        moved[:, child] = quat_rotate(quat_inverse(turn), at - place)
     rotations[:, 0], moved[:, 0] = turn, place
     made = replace(
         source, local_rotations=quat_continuous(rotations), root_positions=place, local_positions=moved
@@ -136,21 +169,24 @@ def _on_root_bone(motion: Motion, body: int, cyclic: bool) -> Motion:
 def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
     """The motion with a root joint on the floor, which has the track and heading; the hips become its child.
 
-    A root bone that is there takes the track, else a joint called Root is added.
+    A root bone that is there takes the track. Else a joint called Root is added, or Ground where a joint is called
+    Root, in any case of letters.
 
     Raises:
-        SkeletonError: the rig has a joint called Root that is no root bone.
+        SkeletonError: the rig has joints of both names, none of which is a root bone.
     """
     body = root_bone(motion.skeleton)
     if body is not None:
-        return _on_root_bone(motion, body, cyclic)
-    if ROOT in motion.skeleton.names:
-        raise SkeletonError(f"the rig has a joint called {ROOT} already; --root ground adds one")
+        return _on_root_bone(motion, cyclic)
+    taken = {joint.lower() for joint in motion.skeleton.names}
+    name = next((name for name in _ADDED if name.lower() not in taken), None)
+    if name is None:
+        raise SkeletonError(
+            f"the rig has joints called {' and '.join(_ADDED)} already; --root ground adds one"
+        )
     upright = Upright.of(motion)
     source = upright.motion
-    track = ground_track(upright, cyclic)
-    place = np.stack([track[:, 0], np.zeros(len(source)), track[:, 1]], axis=-1).astype(np.float32)
-    turn = quat_from_yaw(track[:, 2]).astype(np.float32)
+    place, turn = _root_frames(upright, cyclic, 0.0)
     skeleton = source.skeleton
     hips = quat_rotate(quat_inverse(turn), source.root_positions - place)
     usual = np.median(hips, axis=0).astype(np.float32)
@@ -160,7 +196,7 @@ def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
     rotations = source.local_rotations
     out = Motion(
         Skeleton(
-            (ROOT, *skeleton.names),
+            (name, *skeleton.names),
             (-1, *(parent + 1 for parent in skeleton.parents)),
             offsets,
             {joint + 1: end for joint, end in skeleton.end_sites.items()},

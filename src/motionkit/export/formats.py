@@ -13,6 +13,7 @@ from pathlib import Path
 from motionkit.errors import MotionkitError
 from motionkit.export.clip import Clip, check_numbers
 from motionkit.motion.motion import Motion
+from motionkit.reading import user_cm
 
 # Ending -> module of this package and function in it.
 WRITERS: dict[str, str] = {
@@ -61,7 +62,7 @@ def write_motion(path: str | Path, motion: Motion | Clip) -> None:
 
 
 def read_motion(path: str | Path) -> Motion:
-    """Read the motion of a file: in cm from a .glb or .vrm, else in its own unit.
+    """Read the motion of a file: in cm from a .glb or .vrm unless the user gives a unit, else in its own unit.
 
     Raises:
         MotionkitError: the file cannot be read; the message names the file.
@@ -116,4 +117,6 @@ def _read_character(path: str | Path, name: str | None) -> Clip:
     called, motion = motion_of(character, name)
     # The body of our own files is made anew, for any joints.
     body = None if character.tree.file.by_motionkit() else character
-    return Clip(motion.scaled(CM), called, character=body, per_unit=CM)
+    # A unit that the user gives is that of the file.
+    per_unit = CM if user_cm() is None else 1.0
+    return Clip(motion.scaled(per_unit), called, character=body, per_unit=per_unit)

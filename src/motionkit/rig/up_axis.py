@@ -65,11 +65,25 @@ def human_up(source: SourceRig, positions: Array) -> Array:
     if user is not None:
         return named_up(user)
     arms, hips = (positions[:, source.rig.pair(part)].sum(axis=1) / 2 for part in ("Arm", "UpLeg"))
-    frame = body_frame(source)
-    rest = quat_rotate(frame, _AXES[1]) if is_standing(source, frame) else None
+    rest = _standing_up(source)
     # The rest pose of motionkit's own files is upright, even if the recorded poses are few and show no standing body.
     canonical = source.skeleton.same_hierarchy(canonical_skeleton())
     return voted_up(positions, arms - hips, rest, MOTIONKIT_VOTES if canonical else REST_VOTES)
+
+
+def _standing_up(source: SourceRig) -> Array | None:
+    """The direction (3,) of the body in the rest pose of a human rig; None if it does not stand."""
+    frame = body_frame(source)
+    return quat_rotate(frame, _AXES[1]) if is_standing(source, frame) else None
+
+
+def rest_up(skeleton: Skeleton) -> Array | None:
+    """The axis (3,) that points up in the standing rest pose of a human rig, with its sign; None for other rigs."""
+    try:
+        found = _standing_up(SourceRig(skeleton, map_rig(skeleton), skeleton.rest_positions()))
+    except SkeletonError:
+        return None
+    return None if found is None else named_up(up_name(found))
 
 
 def up_axis(positions: Array, skeleton: Skeleton) -> Array:
