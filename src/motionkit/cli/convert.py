@@ -39,7 +39,7 @@ def _targets(source: Path, target: Path) -> list[tuple[str | None, Path]]:
         )
     names = [name for name, _ in clip_lengths(GltfFile(source))]
     if not names:
-        raise MotionkitError(f"{source}: has no animation")
+        return [(None, target)]  # which is refused when it is read
     files = [target.with_name(f"{target.stem}-{safe_name(name, 80)}{target.suffix}") for name in names]
     check_outputs(files, [source])
     return list(zip(names, files, strict=True))
