@@ -164,8 +164,9 @@ def loop(
         MotionkitError: the motion never repeats.
     """
     from motionkit.editing.loop import loop_seconds
-    from motionkit.requests import synthesis_request
+    from motionkit.requests import loop_wish, synthesis_request
 
+    seconds = loop_wish(types, seconds)
     return synthesis_request(types, seconds=loop_seconds(seconds), **options).loops(seconds)
 
 

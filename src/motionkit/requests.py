@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from motionkit.control import follow, synthesize
-from motionkit.control.keys import Key, check_keys, check_length, read_keys
+from motionkit.control.keys import ORIGIN, Key, check_keys, check_length, read_keys
 from motionkit.control.lead_ins import natural_seconds
 from motionkit.control.path import Path2D, check_shape_options, read_path, shape_path
 from motionkit.control.plan import plan_path, plan_types
@@ -128,10 +128,26 @@ def synthesis_request(
     for plan in plans:
         for part in plan:
             model.type_id(part.type)
-    met = read_keys(keys, model) if isinstance(keys, (str, Path)) else check_keys(keys)
+    start = ORIGIN if options.get("init") is None else None  # checked once the clip is read
+    met = read_keys(keys, model, start) if isinstance(keys, (str, Path)) else check_keys(keys, start)
     check_length(met, min(sum(part.seconds for part in plan) for plan in plans))
     synthesis = SynthesisOptions(**options, keys=met)
     return SynthesisRequest(model, plans, replace(synthesis, count=max(synthesis.count, len(plans))))
+
+
+def loop_wish(types: str | Sequence[str], seconds: float | None) -> float | None:
+    """The length of loops in seconds: the one given, or that of their types, such as "walking:2"; None for any.
+
+    Raises:
+        ControlError: the types have different lengths.
+    """
+    texts = [types] if isinstance(types, str) else types
+    alone = [text for text in texts if ":" in text and "," not in text]
+    times = {part.seconds for text in alone for part in parse_types(text)}
+    if seconds is None and len(times) > 1:
+        found = ", ".join(f"{time:g}" for time in sorted(times))
+        raise ControlError(f"expected one length in seconds for all loops, found {found}")
+    return seconds if seconds is not None else next(iter(times), None)
 
 
 @dataclass(frozen=True, eq=False)

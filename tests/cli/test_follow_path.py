@@ -42,6 +42,12 @@ def test_a_file_and_json(follow, tmp_path: Path) -> None:
     assert len(read_bvh(tmp_path / "out.bvh").values) == value["frames"]
 
 
+def test_json_tells_the_frames_of_the_file(follow, tmp_path: Path) -> None:
+    said = follow("line", "--size", "0.5", "--fps", "30", "-o", "out.bvh", "--json")
+    value = json.loads(said.out)
+    assert len(read_bvh(tmp_path / "out.bvh").values) == value["frames"] and value["fps"] == 30.0
+
+
 def test_a_table(follow, tmp_path: Path) -> None:
     (tmp_path / "way.csv").write_text("x,z,type,speed\n0,0,walking,2\n0,0.4,walking,2\n")
     assert follow("way.csv").code == 0

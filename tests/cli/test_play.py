@@ -70,6 +70,14 @@ def test_recordings_are_the_character_by_default(
         assert json.loads(lines.readline())["recording_format"] == kind
 
 
+def test_formats_that_cannot_be_recorded_are_refused_at_once(motionkit, tmp_path: Path) -> None:
+    """Blender writes FBX, in seconds; a .glb without a humanoid part is no avatar."""
+    (tmp_path / "a.glb").write_bytes(skinned(CHARACTERS["plain"]()))
+    for form, said in (("fbx", "'fbx' is not one of"), ("vrm", "--format vrm takes an avatar")):
+        refused = motionkit("play", "--headless", "--port", 0, "--rig", "a.glb", "--format", form)
+        assert refused.code == 2 and said in refused.err
+
+
 @pytest.mark.parametrize("option", ["--port", "--tcp"])
 def test_a_port_in_use_is_one_line(play: Callable, option: str) -> None:
     with socket.socket() as taken:

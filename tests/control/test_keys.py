@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -243,6 +244,26 @@ def test_the_fastest_way_between_two_keys(away: float, seconds: float, fits: boo
         else:
             with pytest.raises(ControlError, match="m from the one before"):
                 check_keys(keys)
+
+
+def test_the_first_key_is_reached_from_the_clip_before(tiny_model: MotionModel) -> None:
+    walk = make_walk(60)
+    far = replace(walk, root_positions=walk.root_positions + np.array([0.0, 0.0, 2000.0], np.float32))
+    for z, fits in ((2060.0, True), (50.0, False)):
+        keys = [Key(0.5, position=np.array([0.0, z]))]
+        if fits:
+            made = mk.synthesize("walking:1", keys=keys, init=far, model=tiny_model)
+            assert arrival(made.motion, keys[0])[0] < 2.0
+        else:
+            with pytest.raises(ControlError, match="m from the one before"):
+                mk.synthesize("walking:1", keys=keys, init=far, model=tiny_model)
+
+
+def test_keys_of_bodies_with_other_legs_are_refused(model: MotionModel) -> None:
+    names = sorted(model.characters, key=model.body_scale)
+    keys = [Key(0.5, position=np.array([0.0, 50.0]))]
+    with pytest.raises(ControlError, match="legs of one length"):
+        mk.synthesize("walking:1", keys=keys, count=2, character=f"{names[0]},{names[-1]}")
 
 
 @pytest.mark.parametrize(("apart", "fits"), [(0.2, True), (0.19, False)])

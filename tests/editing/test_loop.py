@@ -300,5 +300,23 @@ def test_synthesized_loops(motionkit, tmp_path: Path) -> None:
     (made,) = json.loads(said.out)["motions"]
     assert made["seam_cm"] <= made["frame_cm"] and made["seam_cm_s"] <= made["frame_cm_s"]
     assert 50 < len(read_motion(tmp_path / "w.bvh")) < 90
-    said = motionkit("synthesize", "--types", "walking,running", "--loop")
-    assert said.code == 2 and "one motion type" in said.err
+    for kinds in ("walking,running", "walking,running:2"):
+        said = motionkit("synthesize", "--types", kinds, "--loop")
+        assert said.code == 2 and "one motion type" in said.err
+    said = motionkit("synthesize", "--types", "walking:1", "--types", "running:2", "--loop")
+    assert said.failed_with("expected one length in seconds for all loops, found 1, 2")
+    said = motionkit("synthesize", "--types", "walking:1", "--loop", "-o", "a.bvh")
+    assert said.code == 0 and (tmp_path / "a.bvh").read_bytes() == (tmp_path / "w.bvh").read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["dance-salsa", "balance"])
+def test_loops_on_a_rig_are_closed(motionkit, tmp_path: Path, kind: str) -> None:
+    """Feet are locked by their neighbouring frames, those beyond the ends too."""
+    words = "synthesize", "--types", kind, "--seed", 1, "--loop", "--rig", "@mixamo", "-o", "a.bvh", "--json"
+    said = motionkit(*words)
+    (made,) = json.loads(said.out)["motions"]
+    written = seam(Upright.of(read_motion(tmp_path / "a.bvh")).motion)
+    assert made["seam_cm"] == pytest.approx(written.distance, abs=0.01) and written.distance < 0.01
+    assert written.speed <= written.frame_speed
+    again = make_loop(read_motion(tmp_path / "a.bvh"))
+    assert again.end - again.start == made["frames"] - 1 and again.times == 1

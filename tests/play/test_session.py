@@ -17,6 +17,7 @@ from motionkit.errors import ControlError
 from motionkit.export.formats import WRITERS, read_motion
 from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterFrame
+from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
@@ -129,6 +130,24 @@ def test_a_kept_character_is_for_the_next_client_as_it_was_at_first(session: Ses
     assert (kept.body, kept.noise) != first
     session.leave(1)
     assert (kept.body, kept.noise) == first
+
+
+def test_a_kept_character_ends_its_dance_and_forgets_what_waits() -> None:
+    session = Session(load_bundled_model())
+    kept = session.keep()
+    session.join(1)
+    ask(session, 1, "perform", type="dance-salsa", seconds=60)
+    play(session, 10)
+    ask(session, 1, "perform", type="cartwheel")
+    session.leave(1)
+    assert not any(frame.characters[0].performing for frame in play(session, 30))
+    session.join(2)
+    ask(session, 2, "perform", type="cartwheel")
+    play(session, 20)
+    session.leave(2)
+    flips = [frame.characters[0].performing for frame in play(session, 300)]
+    assert flips[0] and not flips[-1], "a flip is shown to its end"
+    assert kept.driver.performing is None
 
 
 def test_frames_carry_what_was_asked(session: Session, tiny_model: MotionModel) -> None:

@@ -95,12 +95,14 @@ def command(
     outputs.show(lambda: [MotionView(outputs.file.stem, written, bands, target.points, character)])
     facts = {
         "file": outputs.file,
+        "frames": len(written),
+        "fps": written.fps,
         **_facts(request, result),
         "metrics": motion_metrics(measured, making.choice.rig),
     }
     facts["frames_per_second"] = result.frames / max(result.seconds, 1e-9)
     facts["seed"] = making.seed
-    outputs.report(facts, _lines(facts, model.fps, making.choice.words))
+    outputs.report(facts, _lines(facts, making.choice.words))
 
 
 def _facts(request: PathRequest, result: FollowResult) -> dict[str, Any]:
@@ -110,7 +112,6 @@ def _facts(request: PathRequest, result: FollowResult) -> dict[str, Any]:
         for part, d in zip(request.path.parts, result.part_distances, strict=True)
     ]
     return {
-        "frames": result.frames,
         "finished": result.finished,
         "path_cm": request.path.length,
         "trajectory_distance_cm": result.distance.mean,
@@ -120,10 +121,10 @@ def _facts(request: PathRequest, result: FollowResult) -> dict[str, Any]:
     }
 
 
-def _lines(facts: dict[str, Any], fps: float, on: str) -> Iterator[str]:
+def _lines(facts: dict[str, Any], on: str) -> Iterator[str]:
     """The result in words."""
     end = "reached the end" if facts["finished"] else "did not reach the end"
-    travelled = f"{facts['frames'] / fps:.1f} s along {facts['path_cm'] / 100:.1f} m"
+    travelled = f"{facts['frames'] / facts['fps']:.1f} s along {facts['path_cm'] / 100:.1f} m"
     yield f"wrote {display_name(facts['file'])}: {travelled}{on}, {end}"
     for number, part in enumerate(facts["parts"], 1):
         mean, most = part["mean_cm"], part["max_cm"]

@@ -119,7 +119,7 @@ def _usual_format(rig: Rig | None) -> str:
 @click.option(
     "--format",
     "recording_format",
-    type=click.Choice(FORMATS),
+    type=click.Choice([form for form in FORMATS if form != "fbx"]),  # as in play.recording
     help="Format of recordings; programs may ask for another one. By default that of the character of --rig, else bvh.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON.")
@@ -136,7 +136,8 @@ def command(
     Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). With --rig,
     characters have the body of that file, and recordings and TCP frames are on its joints. Ctrl-C stops the server.
     """
-    if listening.recording_format == "vrm" and (choice.rig is None or choice.rig.character is None):
+    avatar = None if choice.rig is None else choice.rig.character
+    if listening.recording_format == "vrm" and (avatar is None or not avatar.humanoid):
         raise click.UsageError("--format vrm takes an avatar: give one with --rig avatar.vrm")
     try:
         import websockets  # noqa: F401

@@ -177,7 +177,12 @@ class RigChoice:
             cyclic: the last frame of the motion equals its first.
             drawn: the motion before finishing, if known.
         """
-        made = self.on_rig(motion, ik, drawn)
+        if cyclic and ik and self.rig is not None:
+            from motionkit.editing.loop import changed_cycle
+
+            made = changed_cycle(motion, lambda repeated: self.on_rig(repeated, ik))
+        else:
+            made = self.on_rig(motion, ik, drawn)
         if self.rig is None:
             return self.root_motion.applied(made, cyclic), motion
         from motionkit.rig.on_rig import from_rig

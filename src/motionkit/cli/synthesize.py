@@ -89,8 +89,9 @@ def command(
         return
     _check(types, count, loops, keys_file, making, output_options)
     from motionkit.editing.loop import loop_seconds
-    from motionkit.requests import synthesis_request
+    from motionkit.requests import loop_wish, synthesis_request
 
+    seconds = loop_wish(types, seconds) if loops else seconds
     length = loop_seconds(seconds) if loops else seconds
     request = synthesis_request(types, seconds=length, count=count, keys=keys_file or (), **making.words())
     if loops and any(len(plan) > 1 for plan in request.plans):
@@ -146,6 +147,7 @@ def _write(
 ) -> tuple[list[dict[str, Any]], list[MotionView]]:
     """Write and measure the motions; returns their facts for --json, with seams, and the motions for --view."""
     from motionkit.control.meet import arrival
+    from motionkit.editing.loop import motion_seam
     from motionkit.view.figure_data import MotionView
 
     made, views = [], []
@@ -153,14 +155,12 @@ def _write(
     for number, one in enumerate(result.motions):
         progress(number)
         file, parts = outputs.files[number], [(part.type, part.seconds) for part in one.types]
-        put, measured = making.choice.put(
-            one.motion, making.ik, bool(cycles), None if cycles else one.unfinished
-        )
+        put, measured = making.choice.put(one.motion, making.ik, bool(cycles), one.unfinished)
         outputs.write(making.choice.clip_of(put, file.stem, parts), number)
         views.append(MotionView(file.stem, put, parts, character=making.choice.character))
         facts = {"file": file, "frames": len(put), "fps": one.motion.fps, "types": parts}
         facts |= {"metrics": motion_metrics(measured, making.choice.rig)}
-        seam = cycles[number].seam if cycles else None
+        seam = motion_seam(put) if cycles else None
         if seam:
             facts |= seam.as_dict()
         if request.options.keys:

@@ -30,6 +30,7 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
 
 METRE = 100.0
+ORIGIN: Array = np.zeros(2)  # where a body begins without a clip
 EARLIEST = 0.2  # s; earliest time of a key
 NEAREST = 0.2  # s; least time between two keys
 FASTEST = 900.0  # cm/s between two keys, the speed of a sprint
@@ -110,8 +111,8 @@ def clip_pose(
     return KeyPose(rotations, height, embedding, turns, step / legs), np.array([x, z, heading])
 
 
-def read_keys(path: str | Path, model: MotionModel) -> tuple[Key, ...]:
-    """Read the keys of a JSON file, in order of time.
+def read_keys(path: str | Path, model: MotionModel, start: Array | None = ORIGIN) -> tuple[Key, ...]:
+    """Read the keys of a JSON file, in order of time; start as in check_keys.
 
     Raises:
         ControlError: the file does not have the form of docs/keys.md, or its keys contradict each other.
@@ -125,27 +126,32 @@ def read_keys(path: str | Path, model: MotionModel) -> tuple[Key, ...]:
     by_file = sorted(enumerate(entries, 1), key=lambda numbered: _file_of(numbered[1]))
     keys = [_key(f"{path}: key {number}", entry, files) for number, entry in by_file]
     with naming(path, ControlError):
-        return check_keys(keys)
+        return check_keys(keys, start)
 
 
-def check_keys(keys: Sequence[Key]) -> tuple[Key, ...]:
-    """Return the keys in order of time; raises ControlError if they contradict each other."""
+def check_keys(keys: Sequence[Key], start: Array | None = ORIGIN) -> tuple[Key, ...]:
+    """Return the keys in order of time; raises ControlError if they contradict each other.
+
+    start is the place (2,) in cm of the body before the first frame; None if it is not known yet.
+    """
     ordered = tuple(sorted(keys, key=lambda key: key.seconds))
-    before = Key(0.0, position=np.zeros(2))
+    before = Key(0.0, position=start)
     for number, key in enumerate(ordered):
         if number and key.seconds - ordered[number - 1].seconds < NEAREST - 1e-6:
             raise ControlError(
                 f"keys at {ordered[number - 1].seconds:g} and {key.seconds:g} s; expected {NEAREST:g} s between keys"
             )
         goal, last = key.goal, before.goal
-        if goal is not None and last is not None:
+        if goal is None:
+            continue
+        if last is not None:
             away, time = float(np.linalg.norm(goal - last)), key.seconds - before.seconds
             if away > FASTEST * time + METRE:
                 raise ControlError(
                     f"the key at {key.seconds:g} s is {away / METRE:.1f} m from the one before, "
                     f"{away / METRE / time:.1f} m/s; expected at most {FASTEST / METRE:g} m/s"
                 )
-            before = key
+        before = key
     return ordered
 
 

@@ -164,6 +164,12 @@ class Performances:
         self.current: Performance | None = None
         self.waiting: Request | None = None
 
+    def end(self) -> None:
+        """Drop the waiting performance, and end the present one now unless it is shown whole, as a flip is."""
+        self.waiting = None
+        if self.current is not None and self.model.phase_seconds(self.current.type) == 0.0:
+            self.current = None
+
     def take_turns(self, frame: int, speed: float, again: Request | None) -> Performance | None:
         """Return the performance of a frame; when one is over, the waiting one begins.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.character_start import CharacterStart, character_start
-from motionkit.control.keys import Key
+from motionkit.control.keys import Key, check_keys
 from motionkit.control.lead_ins import with_final_rest, with_lead_ins
 from motionkit.control.meet import KeyedController, meet_keys
 from motionkit.control.plan import Plan, plan_keys, plan_types
@@ -139,8 +139,12 @@ def synthesize(
     state = _begun(model, options, bodies, starts, plans)
     controller: Controller = CrowdController(model, plans, options.seed, state.frame)
     if options.keys:
+        share = model.body_scale(names[0])
+        if any(model.body_scale(name) != share for name in names[: options.count]):
+            raise ControlError("keys take bodies with legs of one length; make the motions one by one")
+        check_keys(options.keys, share * starts[0].start.ground[0, :2])
         keyed = plan_keys(plans[0], options.keys)
-        controller = KeyedController(model, controller, keyed, starts[0], model.body_scale(names[0]))
+        controller = KeyedController(model, controller, keyed, starts[0], share)
     limits = [acceleration_limit(model, [part.type for part in plan.parts]) for plan in plans]
     started = time.perf_counter()
     rollout = run(state, max(len(plan.track) for plan in plans), controller, progress)

@@ -194,10 +194,19 @@ def find_loops(
     else:
         raise MotionkitError(f"{fault}; try another --seed, or --seconds")
     motions = tuple(
-        replace(one, motion=cycle.motion, types=(TypePart(one.types[0].type, cycle.seconds),))
+        replace(
+            one, motion=cycle.motion, types=(TypePart(one.types[0].type, cycle.seconds),), unfinished=None
+        )
         for one, cycle in zip(result.motions, cycles, strict=True)
     )
     return replace(result, motions=motions), cycles
+
+
+def changed_cycle(cycle: Motion, change: Callable[[Motion], Motion]) -> Motion:
+    """A closed cycle from the origin after a change that looks at neighbouring frames, such as finishing on a rig."""
+    steps = len(cycle) - 1
+    upright = Upright.of(change(_repeated(cycle, 3)))
+    return upright.back(at_origin(_closed(upright, steps, 2 * steps), cyclic=True))
 
 
 def _away(steps: int, upright: Upright, seconds: float) -> float:
@@ -508,6 +517,11 @@ def _closed_track(track: Array, heading: Array, straight: Array, fade: Array, fp
     if float(np.linalg.norm(away)) * fps / (len(track) - 1) < STANDING_SPEED:
         out = out - np.arange(len(track))[:, None] / (len(track) - 1) * away
     return out + fade * ((out[1] - out[0]) - (out[-1] - out[-2]))
+
+
+def motion_seam(motion: Motion) -> Seam:
+    """The seam of a loop on any rig."""
+    return seam(Upright.of(motion).motion)
 
 
 def seam(motion: Motion) -> Seam:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.errors import MotionkitError
 from motionkit.export.clip import Clip, rig_clip
 from motionkit.export.formats import WRITERS, write_motion
 from motionkit.finish.on_rig import on_rig
@@ -75,7 +76,10 @@ def file_bytes(
         made = rig_clip(on_rig(motion, rig, clip=clip), rig, "recording")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"recording.{format}"
-        write_motion(file, made)
+        try:
+            write_motion(file, made)
+        except MotionkitError as error:
+            raise MotionkitError(str(error).replace(str(file), file.name)) from None
         return file.read_bytes()
 
 

@@ -219,6 +219,7 @@ class Session:
             if character.body != self.body:
                 character.set_body(self.body)
             character.driver.set_wish(Wish())
+            character.driver.performances.end()
         else:
             del self.characters[character.id]
             self._spare.append(character.stream)

@@ -54,8 +54,8 @@ export class LocalLink {
     else if (what === "body") this.#wear(fields.character, fields.body);
     else if (KEPT.includes(what)) {
       this.replayed = []; // a request by the user ends the replay
-      this.#obey({ do: what, ...rounded(fields) });
-      if (what === "add" && fields.body) this.#wear(this.world.last, fields.body);
+      const obeyed = this.#obey({ do: what, ...rounded(fields) });
+      if (obeyed && what === "add" && fields.body) this.#wear(this.world.last, fields.body);
     }
     if (!counted) return this.seq;
     this.seq += 1;
@@ -99,16 +99,24 @@ export class LocalLink {
     while (this.replayed.length && this.replayed[0][0] <= this.world.frame) this.#obey(this.replayed.shift()[1]);
   }
 
+  // Carries out a request; returns whether it could be.
   #obey(request) {
+    let obeyed = true;
     try {
       this.world.obey(request);
     } catch (error) {
+      obeyed = false;
       this.listeners.event({ event: "error", message: error.message });
     }
     if (["add", "remove", "noise"].includes(request.do)) this.#changed();
+    return obeyed;
   }
 
   #wear(character, name) {
+    if (this.world.characters.get(character)?.recorded) {
+      this.listeners.event({ event: "error", message: "the body cannot change during a recording; end the recording first" });
+      return;
+    }
     this.world.wear(character, name, this.bodies[name].kernel ?? null);
     this.#changed();
   }

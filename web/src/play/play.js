@@ -77,6 +77,8 @@ export class Play {
     Object.assign(this, { hello, chosen: hello.character, waiting: [], sent: null });
     this.behind = null;
     this.#pace();
+    this.#forgetPath();
+    this.#setMode(null);
     this.apart = (1000 * SPARE) / hello.limits.messages_per_second; // ms between wishes: screens may be faster than the server allows
     // Types may have any name, so forward gaits are recognized by their facing.
     const ahead = hello.types
@@ -130,6 +132,7 @@ export class Play {
     const mine = facts.filter((one) => one.owner === this.hello.client).map((one) => one.id);
     if (!mine.includes(this.chosen)) this.chosen = mine[0] ?? null;
     for (const id of [...this.characters.keys()]) if (!this.facts.has(id)) this.#remove(id);
+    if (this.pathOf && !mine.includes(this.pathOf)) this.#forgetPath();
     this.mine = mine;
     for (const { id, body } of facts) this.#show(id, body);
     this.#who();
