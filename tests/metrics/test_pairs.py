@@ -12,6 +12,9 @@ import pytest
 
 from motionkit.cli.main import main
 from motionkit.export.formats import write_motion
+from motionkit.metrics.pairs import PairResult, mean_rows
+from motionkit.metrics.report import MetricReport, MetricRow
+from motionkit.metrics.value import MetricValue
 from motionkit.motion.bvh import write_bvh
 
 from .conftest import swaying
@@ -109,6 +112,19 @@ def test_a_pair_that_cannot_be_measured_is_left_out_and_named(metrics, folders: 
     assert code == 1 and err.splitlines()[0].startswith("left out: truth/a.bvh")
     assert "truth/deep/b.bvh and one.bvh: expected at least 2 frames" in err.splitlines()[1]
     assert ["error" in pair for pair in json.loads(out)["pairs"]] == [True, True, False]
+
+
+def test_both_means_are_of_the_same_pairs() -> None:
+    """A pair of which one side has no flight tells nothing of the other side's."""
+
+    def result(made: float | None, recorded: float | None) -> PairResult:
+        flight = MetricRow(MetricValue("flight", made, ""), MetricValue("flight", recorded, ""))
+        mpjpe = MetricRow(MetricValue("mpjpe", 2.0, "cm"))
+        return PairResult(Path("a"), Path("b"), MetricReport((flight, mpjpe), 10))
+
+    flight, mpjpe = mean_rows([result(1.0, 2.0), result(None, 8.0), result(4.0, None), result(3.0, 6.0)])
+    assert (flight.value, flight.ground_truth, flight.count) == (2.0, 4.0, 2)
+    assert (mpjpe.value, mpjpe.ground_truth, mpjpe.count) == (2.0, None, 4)
 
 
 def test_a_file_of_one_frame_is_named(metrics, folders: Path) -> None:

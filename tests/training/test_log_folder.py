@@ -29,13 +29,23 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 
 def test_losses_become_rows_and_a_resumed_run_adds_to_them(tmp_path: Path) -> None:
-    for events in (EVENTS, [TrainEvent("log", 30, 12.0, {"total": 2.0, "contacts": 0.3})]):
-        with LogFolder(tmp_path / "new" / "logs") as logs:
+    later = [TrainEvent("log", 30, 12.0, {"total": 2.0, "contacts": 0.3})]
+    for events, resumed in ((later, False), (EVENTS, False), (later, True)):
+        with LogFolder(tmp_path / "new" / "logs", resumed) as logs:
             for event in events:
                 logs(event)
     found = rows(tmp_path / "new" / "logs")
     assert [row["step"] for row in found] == ["10", "20", "30"]
     assert [float(row["total"]) for row in found] == [4.0, 3.0, 2.0] and float(found[-1]["contacts"]) == 0.3
+
+
+def test_a_table_that_cannot_be_written_is_a_note(tmp_path: Path) -> None:
+    notes: list[str] = []
+    (tmp_path / TABLE).mkdir()
+    with LogFolder(tmp_path, on_note=notes.append) as logs:
+        for event in EVENTS:
+            logs(event)
+    assert len(notes) == 1 and notes[0].startswith("cannot write log.csv (")
 
 
 def test_tensorboard_gets_losses_and_scores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

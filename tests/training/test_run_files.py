@@ -233,6 +233,26 @@ def test_facts_of_a_checkpoint(
     assert complaint in _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil, method="adamw")
 
 
+def test_a_run_goes_on_with_features_of_the_same_references(
+    dataset_folder: Path, finished_run: Path, tmp_path: Path, tiny_options
+) -> None:
+    """They may be encoded relative to other rotations although files and options are the same."""
+
+    def spoil(tensors: dict[str, torch.Tensor], facts: dict[str, Any]) -> None:
+        facts["references"][3] = [0.8, 0.6, 0.0, 0.0]
+
+    checkpoint = tmp_path / "m.run" / "checkpoint.safetensors"
+    _spoilt(finished_run, checkpoint, spoil)
+    with pytest.raises(DatasetError, match="started with other reference rotations than those of"):
+        train(
+            dataset_folder,
+            tmp_path / "m.safetensors",
+            tiny_options(steps=2, splices=0),
+            resume=True,
+            device="cpu",
+        )
+
+
 @pytest.mark.parametrize("name", TAKEN)
 @pytest.mark.parametrize("value", ["x", -1, 1e99, [1], True, "left out"])
 def test_what_a_resumed_run_takes_from_its_checkpoint_is_checked(

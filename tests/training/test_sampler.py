@@ -13,6 +13,8 @@ from motionkit.data.splice import splice_clips
 from motionkit.errors import DatasetError
 from motionkit.features.control import ControlLayout
 from motionkit.features.reference import BEFORE_EVENT, PAUSE
+from motionkit.training.losses import LossOptions
+from motionkit.training.objective import _step_share
 from motionkit.training.presets import train_options
 from motionkit.training.sampler import WindowSampler
 from motionkit.training.splices import Span, from_event
@@ -118,6 +120,14 @@ def test_type_weights_scale_how_often_types_are_sampled(dataset: Dataset) -> Non
         sampler(dataset, type_weights={"flying": 2.0})
     with pytest.raises(DatasetError, match="--type-weights: all types have weight 0"):
         sampler(dataset, type_weights=dict.fromkeys(dataset.types, 0.0))
+
+
+@pytest.mark.parametrize(("name", "value"), [("type_weights", {"walking": 0.0}), ("splices", 20)])
+def test_windows_cut_at_intervals_take_no_weights_of_types(
+    dataset: Dataset, name: str, value: object
+) -> None:
+    with pytest.raises(DatasetError, match=f"--{name.replace('_', '-')} needs windows drawn by type"):
+        sampler(dataset, interval=4.0, **{name: value})
 
 
 def test_held_out_clips_are_never_sampled(dataset: Dataset) -> None:
@@ -252,3 +262,17 @@ def test_a_sampler_changes_its_options_but_not_its_splices(dataset: Dataset) -> 
     assert sampler.splices == splices and not torch.equal(sampler.probabilities, before)
     seen = sampler.probabilities[sampler.probabilities > 0]
     assert torch.allclose(seen, seen[:1])
+
+
+@pytest.mark.parametrize("controls", ["extended", "paper"])
+def test_the_step_loss_leaves_out_types(dataset: Dataset, controls: str) -> None:
+    """The share of the other types is 0 to 1, also where a control vector has the types of six frames."""
+    options = LossOptions(step_weight=10.0, step_except=("walking",))
+    share = _step_share(dataset.types, options, controls)
+    made = WindowSampler(dataset, train_options("tiny", steps=1, splices=0).sampler, controls=controls)
+    batch = made.batch(0, 16)
+    assert share is not None
+    shares = batch.controls @ share
+    layout = made.controls
+    walks = batch.controls[..., layout.type.start + dataset.types.index("walking")]
+    assert torch.allclose(shares, 1.0 - walks, atol=1e-5) and float(walks.max()) == 1.0

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
 from motionkit.models.bundled import BUNDLED, load_bundled_model, reference_rotations
 from motionkit.models.checkpoint import load_model
+from motionkit.models.model import MotionModel
 from motionkit.models.predictor import Predictor
 from motionkit.models.presets import preset
 from motionkit.motion.bvh import write_bvh
@@ -164,3 +166,20 @@ def test_fine_tuning_has_settings_of_its_own_that_can_be_changed() -> None:
     assert options.init == BUNDLED and options.optimizer.rate == FINE_TUNE["rate"]
     assert fine_tune_options("tptn", minutes=5, rate=1e-4).optimizer.rate == 1e-4
     assert preset("tptn").to_dict() == load_bundled_model().config.to_dict()
+
+
+def test_roll_outs_of_a_kept_type_begin_from_all_its_start_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[list[Any]] = []
+
+    def roll_out(model: MotionModel, names: tuple[str, ...], starts: list[Any], *_: Any) -> Any:
+        begun.append(starts)
+        raise StopIteration
+
+    monkeypatch.setattr(rehearsal, "roll_out", roll_out)
+    model = load_bundled_model()
+    kinds = [name for name, kind in model.types.items() if len(kind.start_poses) == 3]
+    for kept in (kinds[:3], kinds[:4], kinds[:6]):
+        with pytest.raises(StopIteration):
+            rehearsal.model_clips(model, tuple(kept) * 4, 1.0, 0)
+        starts = [begun[-1][number :: len(kept)] for number in range(len(kept))]
+        assert all(len({id(pose) for pose in of_type}) == 3 for of_type in starts)

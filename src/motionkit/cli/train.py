@@ -21,6 +21,7 @@ from motionkit.cli.common import (
     json_option,
     option,
     print_json,
+    remark,
     say,
     seed_option,
 )
@@ -251,7 +252,7 @@ def command(
     monitor = TrainingMonitor(
         run.as_json, options, run.preview, run.folder / "samples", small_types(mk.Dataset(dataset))
     )
-    with monitor, LogFolder(run.log_dir) if run.log_dir else nullcontext() as logs:
+    with monitor, LogFolder(run.log_dir, run.resume, remark) if run.log_dir else nullcontext() as logs:
 
         def tell(event: TrainEvent) -> None:
             monitor(event)

@@ -298,10 +298,16 @@ class Dataset:
                 f"--layout {layout}"
             )
 
+    def encoded_alike(self, references: Array) -> bool:
+        """Whether reference rotations (23, 4) are those of the dataset; last digits differ between processors."""
+        # A quaternion and its negative are the same rotation.
+        turned = 1.0 - np.abs((self.reference_rotations * references).sum(-1))
+        return float(turned.max()) <= 1e-4
+
     def digest(self, split: str = "train") -> str:
         """A hash of what training depends on: the files, frames and types of a split's clips, and how they are encoded.
 
-        It has no computed numbers, whose last bits differ between processors.
+        It has no computed numbers, whose last bits differ between processors; encoded_alike compares those.
         """
         files = {file["name"]: file.get("sha256", "") for file in self.manifest.get("files", [])}
         facts = [self.types, self.layout.version, self.manifest["fps"], self.manifest.get("smoothed", False)]

@@ -71,10 +71,14 @@ def described(body: Body, mirrored: bool = False) -> Floats:
 
 
 def recorded_windows(dataset: Dataset, split: str, mirrored: bool = False) -> dict[str, Floats]:
-    """Return the descriptions of the recordings of each type in a split, with their mirror images if mirrored."""
+    """Return the descriptions of the recordings of each type in a split, with their mirror images if mirrored.
+
+    A mirror image whose recording is in another split stands for it then.
+    """
     found: dict[str, list[Floats]] = {}
+    recordings = {clip.start for clip in dataset.select(split) if not clip.mirrored}
     for clip, start, end, kind in dataset.stretches(split):
-        if not clip.mirrored:
+        if not clip.mirrored or (mirrored and clip.start not in recordings):
             body = body_of(dataset.motion(clip, dataset.read(clip, start, end)))
             found.setdefault(kind, []).append(described(body))
             if mirrored:

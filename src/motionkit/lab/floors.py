@@ -69,19 +69,20 @@ class _Library:
 def nearest_clip(dataset: Dataset, clips: Sequence[Clip] = ()) -> Continue:
     """Return the baseline that continues with the training clip whose last half second is nearest.
 
-    The clip's last frame is held beyond its end. clips are those to choose from; all training clips by default.
+    The clip's last frame is held beyond its end, and its first frame before its beginning. clips are those to choose
+    from; all training clips by default.
     """
     library = _Library(dataset, clips or dataset.select("train"))
-    usable = np.flatnonzero(
-        (np.arange(len(library.ends)) - library.starts >= MATCHED[-1])
-        & (library.ends - np.arange(len(library.ends)) > REMAINS)
-    )
+    rows = np.arange(len(library.ends))
+    long = np.flatnonzero((rows - library.starts >= MATCHED[-1]) & (library.ends - rows > REMAINS))
+    usable = long if len(long) else rows  # where all clips are short
 
     def continues(sequence: HeldOut, number: int) -> Array:
         cost = np.zeros(len(usable))
         for back in MATCHED:
             query = sequence.data.features[max(0, sequence.initial - 1 - back), library.poses]
-            cost += np.linalg.norm(library.features[usable - back][:, library.poses] - query, axis=1)
+            past = np.maximum(usable - back, library.starts[usable])
+            cost += np.linalg.norm(library.features[past][:, library.poses] - query, axis=1)
         at = int(usable[cost.argmin()])
         rows = np.minimum(at + 1 + np.arange(sequence.frames), library.ends[at] - 1)
         return library.features[rows]
@@ -98,7 +99,8 @@ class Matching:
     def __init__(self, dataset: Dataset) -> None:
         self.library = library = _Library(dataset, dataset.select("train"))
         self._table = library.matched(library.features, library.trajectories)
-        self._lasts = library.ends - np.arange(len(library.ends)) > SEARCHED
+        left = library.ends - np.arange(len(library.ends))
+        self._lasts = left > (SEARCHED if (left > SEARCHED).any() else 1)
         self.at = -1  # row of the library that is played
 
     def begin(self) -> None:

@@ -27,15 +27,15 @@ Request = Callable[[int, Array], tuple[str, Array] | None]
 class MatchedMotion:
     """Plays a dataset's training clips by motion matching, finished as a model's motions.
 
-    The types must be types of the dataset. Speeds and trajectories are those that the model gets.
+    The types must be types of training clips. Speeds and trajectories are those that the model gets.
     """
 
     def __init__(self, model: MotionModel, dataset: Dataset) -> None:
         self.model, self.dataset, self.matching = model, dataset, Matching(dataset)
 
     def knows(self, *kinds: str | None) -> bool:
-        """Whether the dataset has all of some types."""
-        return set(kinds) <= set(self.dataset.types)
+        """Whether the training clips have all of some types."""
+        return set(kinds) <= {self.dataset.types[number] for number in np.unique(self.matching.library.types)}
 
     def along(self, path: Path2D) -> Body:
         """Follow a path."""

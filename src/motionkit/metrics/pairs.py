@@ -127,17 +127,18 @@ def _evaluated(
 
 
 def mean_rows(results: Sequence[PairResult]) -> list[MeanRow]:
-    """The mean of each metric over the pairs that have a value; every pair has the same weight."""
+    """The mean of each metric over the pairs that have a value, on both sides; every pair has the same weight."""
     reports = [result.report for result in results if result.report is not None]
     rows = []
     for first in reports[0].rows if reports else ():
         of_pairs = [row for report in reports for row in report.rows if row.id == first.id]
-        values = [row.motion.value for row in of_pairs if row.motion.value is not None]
-        truths = [
-            row.ground_truth.value
+        sides = [
+            (row.motion.value, None if row.ground_truth is None else row.ground_truth.value)
             for row in of_pairs
-            if row.ground_truth is not None and row.ground_truth.value is not None
+            if row.ground_truth is None or row.ground_truth.value is not None
         ]
+        values = [value for value, _ in sides if value is not None]
+        truths = [truth for value, truth in sides if value is not None and truth is not None]
         rows.append(
             MeanRow(
                 first.id,

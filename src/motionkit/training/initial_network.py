@@ -92,9 +92,7 @@ def begin(dataset: Dataset, options: TrainOptions) -> InitialNetwork:
 
 def check_start(dataset: Dataset, model: MotionModel) -> None:
     """Raise ModelError if dataset and model have different reference rotations."""
-    # A quaternion and its negative are the same rotation.
-    turned = 1.0 - np.abs((dataset.reference_rotations * model.reference_rotations).sum(-1))
-    if float(turned.max()) > 1e-4:
+    if not dataset.encoded_alike(model.reference_rotations):
         raise ModelError(
             f"{dataset.folder}: the dataset's reference rotations differ from the model's; "
             "preprocess it again with --references and this model, or train with --from-scratch"

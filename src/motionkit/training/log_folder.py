@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import warnings
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,19 +19,32 @@ class LogFolder(AbstractContextManager["LogFolder"]):
     """Writes the losses and scores of a run; called with its events.
 
     log.csv has a row for each logged step: step, seconds and the losses by name. A resumed run adds rows to it.
-    TensorBoard gets the same losses, and the scores of each type.
+    TensorBoard gets the same losses, and the scores of each type. After an error, such as a full disk, the run
+    continues without the table.
     """
 
-    def __init__(self, folder: str | Path) -> None:
-        """Make the folder. Raises OSError if it cannot be made."""
-        self.folder = Path(folder)
+    def __init__(
+        self, folder: str | Path, resumed: bool = False, on_note: Callable[[str], None] = warnings.warn
+    ) -> None:
+        """Make the folder; on_note is called with what cannot be written. Raises OSError if it cannot be made."""
+        self.folder, self._on_note, self._writes = Path(folder), on_note, True
         self.folder.mkdir(parents=True, exist_ok=True)
         self._board = _board(self.folder)
+        if not resumed and (self.folder / TABLE).is_file():
+            (self.folder / TABLE).unlink(missing_ok=True)  # that of an earlier run
 
     def __call__(self, event: TrainEvent) -> None:
         """Write the numbers of an event, if it has any."""
         if event.kind == "log":
-            self._add_row({"step": event.step, "seconds": round(event.seconds, 2), **event.losses})
+            row = {"step": event.step, "seconds": round(event.seconds, 2), **event.losses}
+            try:
+                if self._writes:
+                    self._add_row(row)
+            except OSError as fault:
+                self._writes = False
+                self._on_note(
+                    f"cannot write {TABLE} ({fault.strerror or fault}); the run continues without it"
+                )
             self._show({f"loss/{name}": value for name, value in event.losses.items()}, event.step)
         for score in event.scores if event.kind == "score" else ():
             values = {

@@ -63,7 +63,7 @@ class TrainingModule(NetworkLosses):
         self.use(self.options)
 
     def use(self, options: LossOptions) -> None:
-        share = _step_share(self.types, options)
+        share = _step_share(self.types, options, self.network.config.controls)
         self.options = options
         self.step_share = None if share is None else share.to(self.space.mean.device)
 
@@ -87,7 +87,7 @@ class TrainingModule(NetworkLosses):
         )
 
 
-def _step_share(types: tuple[str, ...], options: LossOptions) -> Tensor | None:
+def _step_share(types: tuple[str, ...], options: LossOptions, controls: str) -> Tensor | None:
     """Return weights (C,) whose product with controls is the share of types with step_weight; None if all have it."""
     unknown = set(options.step_except) - set(types)
     if unknown:
@@ -96,7 +96,8 @@ def _step_share(types: tuple[str, ...], options: LossOptions) -> Tensor | None:
         )
     if not options.step_weight or not options.step_except:
         return None
-    layout = ControlLayout(types)
+    layout = ControlLayout(types, controls)
     share = torch.zeros(layout.size)
-    share[layout.type] = torch.tensor([float(name not in options.step_except) for name in types])
+    now = layout.type.start  # the types of the first frame ahead
+    share[now : now + len(types)] = torch.tensor([float(name not in options.step_except) for name in types])
     return share

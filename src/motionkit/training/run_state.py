@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors.torch import save
 from torch import Tensor, nn
@@ -48,7 +49,7 @@ class Checkpoint:
 
     def __init__(self, folder: Path, dataset: Dataset, options: TrainOptions) -> None:
         self.path, self.options = folder / "checkpoint.safetensors", options
-        self.data, self.digest = dataset.folder, dataset.digest()
+        self.dataset, self.digest = dataset, dataset.digest()
 
     def save(self, learner: Learner, at: Progress, block: BlockStart | None) -> None:
         """Write weights, their running average, optimizer states, the random state, options and progress.
@@ -61,6 +62,7 @@ class Checkpoint:
             "seconds": at.seconds,
             "options": self.options.to_dict(),
             "clips": self.digest,
+            "references": self.dataset.reference_rotations.tolist(),
         }
         tensors = {f"weights.{n}": t for n, t in learner.module.state_dict().items()}
         tensors.update({f"average.{n}": t for n, t in learner.average.items()})
@@ -99,10 +101,14 @@ class Checkpoint:
                 raise ModelError(
                     f"{path}: the checkpoint does not fit this preset or is damaged ({error})"
                 ) from None
-        if facts.get("clips", self.digest) != self.digest:  # earlier releases did not write it
+        # Earlier releases did not write these.
+        references = np.array(facts.get("references", self.dataset.reference_rotations), np.float32)
+        same_clips = facts.get("clips", self.digest) == self.digest
+        if not same_clips or not self.dataset.encoded_alike(references):
+            other = "reference rotations" if same_clips else "training clips"
             raise DatasetError(
-                f"{path}: the run was started with other training clips than those of "
-                f"{self.data}; resume it with the same, or delete {path.parent} and start anew"
+                f"{path}: the run was started with other {other} than those of "
+                f"{self.dataset.folder}; resume it with the same, or delete {path.parent} and start anew"
             )
         _restore(path, tensors, learner)
         at.step, at.seconds = int(facts["step"]), float(facts["seconds"])

@@ -62,6 +62,10 @@ class WindowSampler:
 
     def _weigh(self) -> None:
         """Set the probability of each type, or the list of cut windows, which are equally probable."""
+        asked = {"--type-weights": self.options.type_weights, "--splices": self.options.splices}
+        ignored = [name for name, value in asked.items() if value and self.options.interval]
+        if ignored:
+            raise DatasetError(f"{ignored[0]} needs windows drawn by type; tptn-paper cuts them at intervals")
         frames = {kind: sum(map(len, spans)) for kind, spans in self.spans.items()}
         self.probabilities = type_probabilities(self.dataset, frames, self.options, self.kept)
         self.cuts = cut_windows(self._tracks(), self.options, len(self.dataset.types))

@@ -128,7 +128,12 @@ def frames_of(dataset: Dataset, clip: Clip) -> dict[str, int]:
 
 
 def _plain(dataset: Dataset, split: str) -> list[Clip]:
-    return [clip for clip in dataset.select(split) if not clip.mirrored]
+    """Clips of a split without mirror images; a recording trains if its image does, where a type has one recording."""
+    trained = {clip.start for clip in dataset.select("train")}
+    plain = [clip for clip in dataset.clips if not clip.mirrored]
+    if split == "train":
+        return [clip for clip in plain if clip.start in trained]
+    return [clip for clip in plain if clip.split == split and clip.start not in trained]
 
 
 def _only(dataset: Dataset, clips: list[Clip], allowed: Callable[[str], bool]) -> list[Clip]:
