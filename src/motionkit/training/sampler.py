@@ -62,13 +62,15 @@ class WindowSampler:
 
     def _weigh(self) -> None:
         """Set the probability of each type, or the list of cut windows, which are equally probable."""
-        asked = {"--type-weights": self.options.type_weights, "--splices": self.options.splices}
-        ignored = [name for name, value in asked.items() if value and self.options.interval]
-        if ignored:
-            raise DatasetError(f"{ignored[0]} needs windows drawn by type; tptn-paper cuts them at intervals")
+        self._check_drawn("--type-weights", self.options.type_weights)
         frames = {kind: sum(map(len, spans)) for kind, spans in self.spans.items()}
         self.probabilities = type_probabilities(self.dataset, frames, self.options, self.kept)
         self.cuts = cut_windows(self._tracks(), self.options, len(self.dataset.types))
+
+    def _check_drawn(self, name: str, value: object) -> None:
+        """Raise DatasetError for an option of windows that are drawn by type where they are cut at intervals."""
+        if value and self.options.interval:
+            raise DatasetError(f"{name} needs windows drawn by type; tptn-paper cuts them at intervals")
 
     def use(self, options: SamplerOptions) -> None:
         """Use other options from now on; the spliced transitions stay."""
@@ -79,6 +81,7 @@ class WindowSampler:
     def make_splices(self, progress: Callable[[float], None] | None = None) -> None:
         """Make the spliced transitions, which the seed determines; progress is called with the finished share."""
         count = self.options.splices
+        self._check_drawn("--splices", count)
         self.splices = make_splices(self.dataset, self.spans, self.probabilities, count, self.seed, progress)
         self.splice_spans = type_spans([each.data.types for each in self.splices])
 
