@@ -68,6 +68,9 @@ def test_the_output_may_be_an_option(
     assert made.read_bytes() == other.read_bytes()
     assert run(monkeypatch, "mirror", clip, made, "-o", other) == 2
     assert "one place to write to" in capsys.readouterr().err
+    assert run(monkeypatch, "mirror", clip, "-", "--json") == 2
+    said = capsys.readouterr()
+    assert "--json cannot be combined with standard output" in said.err and not said.out
 
 
 def test_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -472,6 +472,28 @@ def test_who_is_removed_while_recording_leaves_its_file(visit: Callable[..., Pag
     page.close()
 
 
+def test_a_body_stays_while_it_is_recorded_and_a_path_goes_with_its_character(
+    visit: Callable[..., Page],
+) -> None:
+    page = visit()
+    page.evaluate("motionkit.link.bodies.other = motionkit.link.bodies.default")
+    page.evaluate("motionkit.record()")
+    page.wait_for_function("motionkit.facts.get(motionkit.chosen).recording", timeout=PATIENCE)
+    page.evaluate("motionkit.said = []; motionkit.say = (...words) => motionkit.said.push(words.join(''))")
+    page.evaluate("motionkit.link.ask('body', { character: motionkit.chosen, body: 'other' })")
+    assert "cannot change during a recording" in " ".join(page.evaluate("motionkit.said"))
+    assert page.evaluate("motionkit.link.world.characters.get(motionkit.chosen).worn") == "default"
+    page.evaluate("for (let n = 0; n < 19; n++) motionkit.link.ask('add', {})")
+    page.evaluate("motionkit.link.ask('add', { body: 'other' })")
+    assert "there is room for 20" in " ".join(page.evaluate("motionkit.said"))
+    worn = page.evaluate("[...motionkit.link.world.characters.values()].map(({ worn }) => worn)")
+    assert worn == ["default"] * 20
+    page.evaluate("motionkit.pathOf = motionkit.mine[1]")
+    page.evaluate("motionkit.link.ask('remove', { character: motionkit.mine[1] })")
+    page.wait_for_function("motionkit.pathOf === null", timeout=PATIENCE)
+    page.close()
+
+
 def test_arrow_keys_move_a_slider_that_has_the_focus(visit: Callable[..., Page]) -> None:
     page = visit()
     page.locator("input[type=range]").focus()
