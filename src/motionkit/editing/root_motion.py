@@ -127,20 +127,18 @@ def root_bone(skeleton: Skeleton) -> int | None:
     return child if all(skeleton.descends(thigh, child) for thigh in thighs) else None
 
 
-def _root_frames(upright: Upright, cyclic: bool, height: float) -> tuple[Array, Array]:
+def _root_frames(upright: Upright, cyclic: bool, rest: Array) -> tuple[Array, Array]:
     """Positions (T, 3) and rotations (T, 4) of a root bone on the ground track of a motion.
 
-    Its axes are those of the rig's rest pose, so that it rests upright on rigs with Z up too.
+    Its axes are those of the rig's rest pose, so that it rests upright on rigs with Z up too; rest (3,) is its place
+    there, of which it keeps the height.
     """
     track = ground_track(upright, cyclic)
-    place = np.stack([track[:, 0], np.full(len(track), height), track[:, 1]], axis=-1).astype(np.float32)
-    return place, quat_multiply(quat_from_yaw(track[:, 2]).astype(np.float32), _rest_turn(upright))
-
-
-def _rest_turn(upright: Upright) -> Array:
-    """The rotation (4,) that turns the rest pose of a rig upright, Y up; the identity if it does not stand."""
     up = rest_up(upright.motion.skeleton)
-    return quat_identity(()) if up is None else up_turn(up)
+    stands = quat_identity() if up is None else up_turn(up)
+    height = float(quat_rotate(stands, rest)[1])
+    place = np.stack([track[:, 0], np.full(len(track), height), track[:, 1]], axis=-1).astype(np.float32)
+    return place, quat_multiply(quat_from_yaw(track[:, 2]).astype(np.float32), stands)
 
 
 def _on_root_bone(motion: Motion, cyclic: bool) -> Motion:
@@ -148,9 +146,7 @@ def _on_root_bone(motion: Motion, cyclic: bool) -> Motion:
     upright = Upright.of(motion)
     source = upright.motion
     skeleton = source.skeleton
-    place, turn = _root_frames(
-        upright, cyclic, float(quat_rotate(_rest_turn(upright), skeleton.offsets[0])[1])
-    )
+    place, turn = _root_frames(upright, cyclic, skeleton.offsets[0])
     still = np.broadcast_to(skeleton.offsets, (len(source), *skeleton.offsets.shape))
     moved = np.array(still if source.local_positions is None else source.local_positions, np.float32)
     rotations = source.local_rotations.copy()
@@ -186,7 +182,7 @@ def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
         )
     upright = Upright.of(motion)
     source = upright.motion
-    place, turn = _root_frames(upright, cyclic, 0.0)
+    place, turn = _root_frames(upright, cyclic, np.zeros(3, np.float32))
     skeleton = source.skeleton
     hips = quat_rotate(quat_inverse(turn), source.root_positions - place)
     usual = np.median(hips, axis=0).astype(np.float32)

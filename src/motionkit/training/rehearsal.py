@@ -34,9 +34,8 @@ def keep_types(dataset: Dataset, model: MotionModel, seed: int = 0) -> tuple[str
 def model_clips(model: MotionModel, names: tuple[str, ...], seconds: float, seed: int) -> list[ClipData]:
     """Roll out one character for each type name; returns clips with type id 0 and without reference poses."""
     poses = [model.types[name].start_poses for name in names]
-    before = [
-        names[:i].count(name) for i, name in enumerate(names)
-    ]  # roll-outs of a type take its start poses in turn
+    # Roll-outs of a type take its start poses in turn.
+    before = [names[:i].count(name) for i, name in enumerate(names)]
     starts = [known[i % len(known)] for i, known in zip(before, poses, strict=True)]
     made, phases = roll_out(model, names, starts, seconds, seed)
     touching = (made.contacts > IN_CONTACT).astype(np.float32)
