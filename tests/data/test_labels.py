@@ -222,6 +222,42 @@ def test_an_explicit_table_matches_unique_file_names_anywhere(tmp_path: Path) ->
     assert sources[0].segments == (Segment(0, 9, "idle"),)
 
 
+def test_a_path_in_a_table_means_no_other_file_of_its_name(tmp_path: Path, table) -> None:
+    touch(tmp_path, "a/x.bvh", "b/x.bvh", "c/y.bvh", "d/y.bvh")
+    table(
+        "a/x.bvh,0,9,walking,,,,\ny.bvh,0,9,idle,,,,\nb/gone.bvh,0,9,idle,,,,\n../other/z.bvh,0,9,idle,,,,\n"
+    )
+    reasons = {source.name.partition("/")[2]: source.skip_reason for source in find_sources([tmp_path])[0]}
+    assert reasons["a/x.bvh"] == "" and reasons["b/x.bvh"] == "not in labels.csv"
+    assert reasons["c/y.bvh"] == "labels.csv does not tell its folder, but 2 files have this name"
+    assert {name: why for name, why in reasons.items() if "no such file" in why} == {
+        "gone.bvh": "in labels.csv, but there is no such file"
+    }, "a file outside the folders may be there on another day"
+
+
+def test_files_of_several_folders_have_different_names_in_any_order(tmp_path: Path) -> None:
+    touch(tmp_path, "p/walk/x.bvh", "q/walk/x.bvh", "q/walk/y.bvh")
+    orders = [[tmp_path / "p", tmp_path / "q"], [tmp_path / "q", tmp_path / "p"]]
+    names = [
+        {source.path.parent.parent.name + source.path.name: source.name for source in find_sources(order)[0]}
+        for order in orders
+    ]
+    assert (
+        names[0] == names[1] == {"px.bvh": "p/walk/x.bvh", "qx.bvh": "q/walk/x.bvh", "qy.bvh": "walk/y.bvh"}
+    )
+
+
+def test_a_file_has_one_rate(table) -> None:
+    path = table("a.bvh,0,9,idle,,120,,\na.bvh,9,20,idle,,,,\nb.bvh,0,9,idle,,120,,\nb.bvh,9,20,idle,,60,,\n")
+    with pytest.raises(DatasetError, match=r"labels.csv:5: expected one fps for b.bvh, found 60 and 120"):
+        read_labels(path)
+
+
+def test_columns_are_known_in_any_case(tmp_path: Path) -> None:
+    (tmp_path / "labels.csv").write_text("File, Start_Frame ,END_FRAME,Type,Split\na.bvh,0,9,idle,test\n")
+    assert read_labels(tmp_path / "labels.csv") == {"a.bvh": [Segment(0, 9, "idle", split="test")]}
+
+
 def test_a_file_can_be_given_for_a_folder(tmp_path: Path) -> None:
     touch(tmp_path, "walk.bvh")
     sources, _ = find_sources([tmp_path / "walk.bvh"])

@@ -14,11 +14,12 @@ from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError
-from motionkit.features.decode import decode_motion
+from motionkit.features.decode import decode_motion, joint_positions
 from motionkit.features.layout import LAYOUTS
 from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import resample
+from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
 from motionkit.rig.retarget import retarget_file
 from synthetic_motions import make_idle, make_jump, make_walk
 
@@ -197,6 +198,53 @@ def test_whole_clips_are_held_out_where_the_labels_do_not_say(tmp_path: Path) ->
     assert all(len(clips) == 2 if clips[0].split == "train" else 1 for clips in by_file.values()), (
         "twins train"
     )
+
+
+def test_parts_of_one_take_are_tested_or_trained_on_together(tmp_path: Path) -> None:
+    (tmp_path / "clips").mkdir()
+    rows = ["file,start_frame,end_frame,type"]
+    for i in range(4):
+        write_bvh(tmp_path / "clips" / f"walk_{i}.bvh", make_walk(120, phase=float(i)))
+        rows += [f"walk_{i}.bvh,{at},{at + 30},walking" for at in (0, 40, 80)]
+    write_bvh(tmp_path / "clips" / "idle.bvh", make_idle(120))
+    rows += ["idle.bvh,0,40,idle", "idle.bvh,50,90,idle"]
+    (tmp_path / "clips" / "labels.csv").write_text("\n".join(rows) + "\n", "utf-8")
+    preprocess([tmp_path / "clips"], tmp_path / "out", replace(ONE_JOB, held_out=("test",)))
+    found = clips_by_file(Dataset(tmp_path / "out"))
+    splits = {name: {(clip.split, clip.mirrored) for clip in clips} for name, clips in found.items()}
+    tested = [name for name, each in splits.items() if each == {("test", False)}]
+    assert len(tested) == 1 and tested[0].startswith("walk")
+    assert len(splits.pop("idle.bvh")) == 2, "both parts train, and both images test, or the reverse"
+    assert all(
+        each == {("train", False), ("train", True)} for name, each in splits.items() if name not in tested
+    )
+
+
+def test_stretches_of_two_performers_are_two_clips(tmp_path: Path) -> None:
+    write_bvh(tmp_path / "clips.bvh", make_walk(120))
+    (tmp_path / "labels.csv").write_text(
+        "file,start_frame,end_frame,type,subject\nclips.bvh,0,60,walking,anna\nclips.bvh,60,120,walking,bert\n"
+    )
+    preprocess([tmp_path / "clips.bvh"], tmp_path / "out", replace(ONE_JOB, mirror=False, held_out=()))
+    assert [clip.subject for clip in Dataset(tmp_path / "out").clips] == ["anna", "bert"]
+
+
+def test_mirror_images_have_mirrored_bodies(tmp_path: Path) -> None:
+    """Positions in the features are those of the skeleton, for a body whose left shin is longer, too."""
+    walk = make_walk(60)
+    offsets = walk.skeleton.offsets.copy()
+    offsets[JOINT_NAMES.index("LeftFoot")] *= 1.1
+    write_bvh(tmp_path / "walk.bvh", replace(walk, skeleton=canonical_skeleton(offsets)))
+    preprocess([tmp_path / "walk.bvh"], tmp_path / "out", replace(ONE_JOB, own_bodies=True, held_out=()))
+    dataset = Dataset(tmp_path / "out")
+    plain, image = dataset.clips
+    assert image.mirrored and image.body != plain.body and dataset.image(image) == plain
+    assert dataset.image(plain) == image
+    for clip in dataset.clips:
+        data = dataset.read(clip)
+        places = motion_kinematics(dataset.motion(clip, data))[1]
+        heights = joint_positions(data.features, dataset.layout.version)[..., 1]
+        assert np.abs(heights - places[..., 1]).max() < 0.01
 
 
 def test_all_clips_train_if_none_is_to_be_held_out(tmp_path: Path) -> None:

@@ -216,3 +216,9 @@ def test_refusals(motion: Motion) -> None:
         evaluate_motion(broken)
     with pytest.raises(MotionkitError, match="expected more than 0"):
         evaluate_motion(replace(motion, fps=0.0))
+
+
+@pytest.mark.parametrize("frames", [{"skip": -3}, {"given": -1}])
+def test_frames_to_leave_out_are_not_negative(motion: Motion, frames: dict[str, int]) -> None:
+    with pytest.raises(MotionkitError, match=r"expected frames to skip and given frames of at least 0"):
+        evaluate_motion(motion, motion, **frames)

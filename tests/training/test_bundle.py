@@ -238,6 +238,16 @@ def test_parts_that_move_as_the_type_does_come_first_and_from_all_recordings() -
     )
 
 
+def test_a_recording_comes_before_its_mirror_image_whatever_the_last_digits() -> None:
+    found = [
+        ("b (mirrored)", moving(2.0 - 1e-6)),
+        ("b", moving(2.0)),
+        ("a", moving(2.0 + 1e-6)),
+        ("c", moving(9.0)),
+    ]
+    assert typical_first(found) == [found[i][1] for i in (2, 1, 0, 3)]
+
+
 def test_movement_of_an_outline_is_the_mean_over_what_comes() -> None:
     reference_clip = moving(1.0, 300)
     reference_clip.poses[:, 0] = np.minimum(reference_clip.poses[:, 0], 100.0)

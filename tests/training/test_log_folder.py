@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from motionkit.training.log_folder import TABLE, LogFolder
+from motionkit.errors import OverwriteError
+from motionkit.training.log_folder import TABLE, LogFolder, check_table
 from motionkit.training.report import TrainEvent
 from motionkit.training.scores import TypeScore
 
@@ -37,6 +38,18 @@ def test_losses_become_rows_and_a_resumed_run_adds_to_them(tmp_path: Path) -> No
     found = rows(tmp_path / "new" / "logs")
     assert [row["step"] for row in found] == ["10", "20", "30"]
     assert [float(row["total"]) for row in found] == [4.0, 3.0, 2.0] and float(found[-1]["contacts"]) == 0.3
+
+
+def test_a_table_of_others_is_refused_and_an_earlier_one_stays_until_the_first_row(tmp_path: Path) -> None:
+    check_table(tmp_path)
+    with LogFolder(tmp_path) as logs:
+        logs(EVENTS[1])
+    check_table(tmp_path)
+    with LogFolder(tmp_path):
+        assert len(rows(tmp_path)) == 1
+    (tmp_path / TABLE).write_text("mine\n", "utf-8")
+    with pytest.raises(OverwriteError, match=r"log.csv: was not written by motionkit"):
+        check_table(tmp_path)
 
 
 def test_a_table_that_cannot_be_written_is_a_note(tmp_path: Path) -> None:

@@ -58,10 +58,25 @@ def test_a_new_run_has_nothing_of_an_earlier_one(dataset_folder: Path, tmp_path:
     (run / "samples" / "a-type-of-other-data-predicted.bvh").touch()
     (run / "preview").mkdir()
     (run / "preview" / "idle-step-2.bvh").touch()
+    (run / "samples" / "clip of mine.bvh").touch()
     notes = (run / "log.jsonl").read_text("utf-8").splitlines()
     train(dataset_folder, path, tiny_options(steps=2, score_seconds=0.1), device="cpu")
     assert len((run / "log.jsonl").read_text("utf-8").splitlines()) == len(notes)
     assert not list(run.glob("samples/a-type*")) and not list(run.glob("preview/*"))
+    assert (run / "samples" / "clip of mine.bvh").exists()
+
+
+@pytest.mark.usefixtures("briefly_calibrated")
+def test_a_finished_run_that_is_resumed_leaves_the_same_model(
+    dataset_folder: Path, tmp_path: Path, tiny_options
+) -> None:
+    path = tmp_path / "m.safetensors"
+    train(dataset_folder, path, tiny_options(steps=2, score_seconds=0.1), device="cpu")
+    made = load_model(path)
+    train(dataset_folder, path, tiny_options(steps=2, score_seconds=0.1), resume=True, device="cpu")
+    again = load_model(path)
+    assert again.card["losses"] == made.card["losses"] != {} and again.card["scores"] == made.card["scores"]
+    assert {k: t.preset for k, t in again.types.items()} == {k: t.preset for k, t in made.types.items()}
 
 
 def test_a_name_that_models_cannot_hold_is_an_error_before_training(

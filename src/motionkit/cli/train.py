@@ -31,6 +31,7 @@ from motionkit.errors import OverwriteError
 from motionkit.files import check_outputs
 from motionkit.names import nfc
 from motionkit.training.budgets import BUDGETS
+from motionkit.training.log_folder import LogFolder, check_table
 
 if TYPE_CHECKING:
     from motionkit.training.options import TrainOptions
@@ -105,6 +106,8 @@ class Run:
         if self.output.suffix.lower() != ".safetensors":
             raise click.UsageError(f"-o {self.output}: expected a name that ends in .safetensors")
         check_outputs([self.output, *([self.preview] if self.preview else [])], inputs)
+        if self.log_dir and not self.force:
+            check_table(self.log_dir)
         if self.resume or self.force:
             return
         for path in (self.output, self.folder / "checkpoint.safetensors"):
@@ -246,7 +249,6 @@ def command(
 
     import motionkit as mk
     from motionkit.data.repeat import small_types
-    from motionkit.training.log_folder import LogFolder
 
     options = _options(preset, init, begins.add, score_minutes or (1.0 if run.preview else None), changes)
     monitor = TrainingMonitor(

@@ -39,7 +39,7 @@ from motionkit.features.reference import (
 )
 from motionkit.files import read_json
 from motionkit.motion.motion import Motion
-from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+from motionkit.motion.skeleton import MIRROR_JOINTS, Skeleton, canonical_skeleton
 from motionkit.names import nfc
 
 FORMAT = 1
@@ -126,7 +126,13 @@ class Dataset:
         self.manifest |= _names_composed(self.manifest)
         self.types: tuple[str, ...] = tuple(self.manifest["types"])
         self.fps: float = self.manifest["fps"]
-        self.clips = tuple(Clip(**values) for values in self.manifest["clips"])
+        # Offsets (23, 3) in cm of every body; Clip.body is an index into them.
+        self.bodies: tuple[Array, ...] = tuple(np.array(body, np.float32) for body in self.manifest["bodies"])
+        # The manifest gives mirror images the bodies of their recordings.
+        clips = [Clip(**values) for values in self.manifest["clips"]]
+        self.clips = tuple(
+            replace(clip, body=self._mirrored_body(clip.body)) if clip.mirrored else clip for clip in clips
+        )
         self.layout: FeatureLayout = feature_layout(self.manifest["layout"])
         rows = max((clip.start + clip.frames for clip in self.clips), default=0)
         self._arrays = {name: open_array(self._path(name), name, rows) for name in ARRAYS}
@@ -155,7 +161,7 @@ class Dataset:
         """
         self.types = (*self.types, *types)
         if bodies is None:
-            bodies = [self._canonical_body()] * len(recordings)
+            bodies = [self._body(canonical_skeleton().offsets)] * len(recordings)
         start = len(self._arrays["types"])
         for number, (data, body) in enumerate(zip(recordings, bodies, strict=True)):
             name, frames = f"{self.types[int(data.types[0])]} {number}", len(data.types)
@@ -172,13 +178,22 @@ class Dataset:
         for name in ("sided_types", "mirrored_type_ids", "pose_embedding"):
             self.__dict__.pop(name, None)
 
-    def _canonical_body(self) -> int:
-        """The index of the canonical body; adds the body if no clip has it."""
-        body = canonical_skeleton().offsets
-        known = [i for i, offsets in enumerate(self.bodies) if np.allclose(offsets, body)]
-        if not known:
-            self.bodies = (*self.bodies, body)
-        return known[0] if known else len(self.bodies) - 1
+    def image(self, clip: Clip) -> Clip:
+        """The mirror image of a clip, on the mirrored body; of a mirror image, the recording."""
+        name = clip.name.removesuffix(MIRRORED) if clip.mirrored else clip.name + MIRRORED
+        return replace(clip, name=name, body=self._mirrored_body(clip.body), mirrored=not clip.mirrored)
+
+    def _mirrored_body(self, body: int) -> int:
+        """The index of the mirror image of a body, whose sides may have bones of other lengths."""
+        return self._body(self.bodies[body][list(MIRROR_JOINTS)] * np.array([-1.0, 1.0, 1.0], np.float32))
+
+    def _body(self, offsets: Array) -> int:
+        """The index of a body with offsets (23, 3) in cm; adds the body if no clip has it."""
+        apart = np.abs(np.stack(self.bodies) - offsets).max(axis=(1, 2))
+        if apart.min() > SAME_BODY:
+            self.bodies = (*self.bodies, offsets)
+            return len(self.bodies) - 1
+        return int(apart.argmin())
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.npy"
@@ -218,11 +233,6 @@ class Dataset:
         features = self._arrays["features"][rows]
         check_range(self._path("features"), "features", features)
         return fit_pose_embedding(features, weights, self.layout)
-
-    @cached_property
-    def bodies(self) -> tuple[Array, ...]:
-        """Offsets (23, 3) in cm of every body; Clip.body is an index into them."""
-        return tuple(np.array(body, np.float32) for body in self.manifest["bodies"])
 
     @cached_property
     def characters(self) -> dict[str, Array]:
@@ -267,12 +277,20 @@ class Dataset:
 
     @cached_property
     def mirrored_type_ids(self) -> Array:
-        """Type ids (N,) of the mirror image of each type."""
-        found = self.manifest.get("mirrored_types", {})
-        names = [found.get(name) or mirrored_type(name) for name in self.types]
+        """Type ids (N,) of the mirror image of each type; of the type itself if the data lacks the other side."""
+        names = self._image_types()
         return np.array(
             [self.types.index(n) if n in self.types else i for i, n in enumerate(names)], np.int64
         )
+
+    @property
+    def image_known(self) -> Array:
+        """Flags (N,): whether the data has the type of each type's mirror image."""
+        return np.array([name in self.types for name in self._image_types()], bool)
+
+    def _image_types(self) -> list[str]:
+        found = self.manifest.get("mirrored_types", {})
+        return [found.get(name) or mirrored_type(name) for name in self.types]
 
     def select(self, split: str) -> list[Clip]:
         """The clips of a split, "train", "validation" or "test"."""

@@ -209,8 +209,8 @@ def _runs(segments: Sequence[Segment], found: Reading) -> tuple[Run, ...]:
     for segment in segments:
         for start, end in cut_at_leaps(*found.place(segment), found.leaps):
             before = runs[-1] if runs else None
-            leapt = start in found.leaps
-            if before and before.end >= start - 1 and before.split == segment.split and not leapt:
+            apart = before is None or before.end < start - 1 or start in found.leaps
+            if before and not apart and before[3:] == (segment.split, segment.subject):
                 spans = (*before.spans, (before.end, end, segment.type))
                 runs[-1] = before._replace(end=end, spans=spans)
             else:

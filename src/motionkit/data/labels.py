@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -73,7 +74,8 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
 
     By default a labels.csv in one of the folders or their parents is used. Without a table, the type of a file is
     the name of its folder. For a file directly in a given folder it is the file's name without its number, or the
-    animation's, if a file has several. Which of them are taken, motionkit.reading says.
+    animation's, if a file has several. Which of them are taken, motionkit.reading says. A file that the table names
+    below the folders, but that is not there, is among those skipped.
 
     Raises:
         DatasetError: there are no files, or the label table is invalid.
@@ -92,19 +94,63 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
         raise DatasetError(f"{', '.join(str(f) for f in folders)}: no {endings_text()} files found")
     table = labels if labels is not None else _nearby_labels(folders)
     if table is None:
-        return [source for path, folder in found for source in _by_name(path, folder)], None
+        return _distinct([source for path, folder in found for source in _by_name(path, folder)]), None
+    return _distinct(_labelled(found, folders, table)), table
+
+
+def _labelled(found: list[tuple[Path, Path]], folders: Sequence[Path], table: Path) -> list[SourceFile]:
+    """Files, each with its folder, by a label table; and those skipped that it names below the folders in vain."""
     rows = read_labels(table)
-    by_path = _by_path(table, rows)
-    by_name = _unique_basenames(rows)
+    paths = _paths(table, rows)
+    files = [
+        (path, folder, clip, f"#{clip}" if several else "")
+        for path, folder in found
+        for clip, several in _clips(path)
+    ]
+    here = {_key(path) + nfc(mark) for path, _, _, mark in files}
+    # A row whose path leads nowhere may mean a file of its name elsewhere.
+    others = {key: name for key, name in paths.items() if key not in here}
+    counts, alike = Counter(map(_base, others.values())), Counter(_base(f[0].name + f[3]) for f in files)
+    by_name = {_base(name): rows[name] for name in others.values() if counts[_base(name)] == 1}
     sources = []
-    for path, folder in found:
+    for path, folder, clip, mark in files:
         name = path.relative_to(folder.parent).as_posix() if path.is_relative_to(folder.parent) else path.name
-        for clip, several in _clips(path):
-            mark = f"#{clip}" if several else ""
-            segments = by_path.get(_key(path) + nfc(mark)) or by_name.get(nfc(path.name + mark).lower())
-            reason = "" if segments else f"not in {table.name}"
-            sources.append(SourceFile(path, name + mark, tuple(segments or ()), reason, clip))
-    return sources, table
+        key, base = _key(path) + nfc(mark), _base(path.name + mark)
+        segments, reason = rows[paths[key]] if key in paths else by_name.get(base, []), f"not in {table.name}"
+        if segments and key not in paths and alike[base] > 1:
+            segments, reason = (
+                [],
+                f"{table.name} does not tell its folder, but {alike[base]} files have this name",
+            )
+        sources.append(SourceFile(path, name + mark, tuple(segments), "" if segments else reason, clip))
+    roots = tuple(_key(folder) + os.sep for folder in folders)
+    for key, name in others.items():
+        if _base(name) not in alike and key.startswith(roots):
+            reason = f"in {table.name}, but there is no such file"
+            sources.append(SourceFile(table.parent / name, name, (), reason))
+    return sources
+
+
+def _base(name: str) -> str:
+    """The file name in a path, with its animation if one is named, for comparison."""
+    return nfc(Path(name).name).lower()
+
+
+def _distinct(sources: list[SourceFile]) -> list[SourceFile]:
+    """The files; those of one name below several folders are named from where their paths part."""
+    counts = Counter(source.name for source in sources)
+    alike = [_key(source.path) for source in sources if counts[source.name] > 1]
+    if not alike:
+        return sources
+    part = os.path.commonpath(alike)
+
+    def renamed(source: SourceFile) -> SourceFile:
+        if counts[source.name] == 1:
+            return source
+        mark = f"#{source.clip}" if source.name.endswith(f"#{source.clip}") else ""
+        return replace(source, name=Path(os.path.relpath(_key(source.path), part)).as_posix() + mark)
+
+    return list(map(renamed, sources))
 
 
 def _clips(path: Path) -> list[tuple[str | None, bool]]:
@@ -123,14 +169,14 @@ def _clips(path: Path) -> list[tuple[str | None, bool]]:
     return [(name if several else None, several) for name in (names if several else names[:1])]
 
 
-def _by_path(table: Path, rows: dict[str, list[Segment]]) -> dict[str, list[Segment]]:
-    """Segments by path; raises DatasetError if the table has one file under two names."""
+def _paths(table: Path, rows: Iterable[str]) -> dict[str, str]:
+    """The name in each row by its path; raises DatasetError if the table has one file under two names."""
     names: dict[str, str] = {}
     for name in rows:
         other = names.setdefault(_key(table.parent / name), name)
         if other != name:
             raise DatasetError(f"{table}: {other} and {name} are the same file, expected one name for it")
-    return {key: rows[name] for key, name in names.items()}
+    return names
 
 
 def _key(path: Path) -> str:
@@ -148,12 +194,6 @@ def _nearby_labels(folders: Sequence[Path]) -> Path | None:
             if (place / "labels.csv").is_file():
                 return place / "labels.csv"
     return None
-
-
-def _unique_basenames(rows: dict[str, list[Segment]]) -> dict[str, list[Segment]]:
-    names = {name: nfc(Path(name).name).lower() for name in rows}
-    counts = Counter(names.values())
-    return {names[name]: segments for name, segments in rows.items() if counts[names[name]] == 1}
 
 
 def _by_name(path: Path, folder: Path) -> list[SourceFile]:
@@ -205,6 +245,8 @@ def read_labels(path: Path) -> dict[str, list[Segment]]:
     """
     text = read_text(path, "a label table", DatasetError)
     reader = csv.DictReader(text.splitlines())
+    if reader.fieldnames:
+        reader.fieldnames = [name.strip().lower() for name in reader.fieldnames]
     found: dict[str, list[tuple[Segment, int]]] = {}
     try:
         missing = [name for name in REQUIRED_COLUMNS if name not in (reader.fieldnames or [])]
@@ -221,6 +263,10 @@ def read_labels(path: Path) -> dict[str, list[Segment]]:
     except csv.Error as error:
         raise DatasetError(f"{path}:{reader.line_num + 1}: not a table row ({error})") from None
     for name, entries in found.items():
+        rates = {segment.fps: line for segment, line in reversed(entries) if segment.fps}
+        if len(rates) > 1:
+            words = " and ".join(f"{rate:g}" for rate in sorted(rates))
+            raise DatasetError(f"{path}:{max(rates.values())}: expected one fps for {name}, found {words}")
         entries.sort(key=lambda entry: entry[0].start)
         for (a, line_a), (b, line_b) in pairwise(entries):
             if a.end == -1 or a.end > b.start:

@@ -8,7 +8,6 @@ cycle; its end is joined to the beginning of its mirror image.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import replace
 
 import numpy as np
 
@@ -66,7 +65,7 @@ def repeat_stretch(dataset: Dataset, clip: Clip, start: int, end: int) -> ClipDa
     i, j, cost = _best_cycle(piece, piece)
     cycle = [piece]
     if dataset.mirrored_type_ids[kind] == kind:
-        mirrored = cut_piece(dataset, replace(clip, mirrored=not clip.mirrored), start, end)
+        mirrored = cut_piece(dataset, dataset.image(clip), start, end)
         other_i, other_j, other_cost = _best_cycle(piece, mirrored)
         if other_cost < MIRROR_GAIN * cost:
             i, j, cycle = other_i, other_j, [mirrored, piece]
@@ -106,12 +105,14 @@ def _repeated(first: Piece, cycle: list[Piece], i: int, j: int, frames: int) -> 
 
 
 def type_amounts(dataset: Dataset) -> dict[str, tuple[int, float]]:
-    """Clips and seconds of training motion for each type, without mirrored copies."""
-    recordings = {clip.start: clip for clip in reversed(dataset.select("train"))}
-    none, size = np.zeros(0, np.int64), len(dataset.types)
-    tracks = [none, *map(dataset.clip_types, recordings.values())]
-    frames = np.stack([np.bincount(types, minlength=size) for types in tracks])
-    clips, seconds = (frames > 0).sum(axis=0), frames.sum(axis=0) / dataset.fps
+    """Clips and seconds of training motion for each type; a mirror image counts where it is of another type."""
+    size = len(dataset.types)
+    recorded: dict[int, Array] = {}  # most frames of each type by first row, of a clip and its mirror image
+    for clip in dataset.select("train"):
+        frames = np.bincount(dataset.clip_types(clip), minlength=size)
+        recorded[clip.start] = np.maximum(recorded.get(clip.start, 0), frames)
+    all_frames = np.stack([np.zeros(size, np.int64), *recorded.values()])
+    clips, seconds = (all_frames > 0).sum(axis=0), all_frames.sum(axis=0) / dataset.fps
     return dict(zip(dataset.types, zip(clips.tolist(), seconds.tolist(), strict=True), strict=True))
 
 

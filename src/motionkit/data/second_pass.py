@@ -275,7 +275,8 @@ def _with_mirrored(
     image = {**base, "name": clip.name + MIRRORED, "mirrored": True}
     if clip.split == "mirror":
         trains, tests = {**base, "split": "train"}, {**image, "split": "test"}
-        if hashed(clip.name)[0] % 2:
+        recording = clip.name.rpartition(":")[0] or clip.name  # all runs of a file go the same way
+        if hashed(recording)[0] % 2:
             trains, tests = {**image, "split": "train"}, {**base, "split": "test"}
         return [Clip(**trains), Clip(**tests)]
     # If the data lacks the type of the other side, the mirror image has no correct label.

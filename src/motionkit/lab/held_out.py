@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def in_references(model: MotionModel, dataset: Dataset, clips: Sequence[Clip]) -
                     return True
         return False
 
-    return [each.name for each in clips if holds(each) or holds(replace(each, mirrored=not each.mirrored))]
+    return [each.name for each in clips if holds(each) or holds(dataset.image(each))]
 
 
 def compared(

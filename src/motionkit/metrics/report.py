@@ -191,9 +191,13 @@ def evaluate_motion(
         given: initial frames at 60 fps that the model was given, which only the ground truth contains.
 
     Raises:
-        MotionkitError: fewer than two frames are left to compare, or a value is not finite.
+        MotionkitError: fewer than two frames are left to compare, a value is not finite, or skip or given is negative.
         SkeletonError: a skeleton is not the canonical one.
     """
+    if min(skip, given) < 0:
+        raise MotionkitError(
+            f"expected frames to skip and given frames of at least 0, found {skip} and {given}"
+        )
     settings = settings or MetricSettings()
     motions = [motion] if reference is None else [motion, reference]
     for each, name in zip(motions, _names(motions), strict=True):

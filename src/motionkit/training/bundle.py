@@ -255,7 +255,8 @@ def typical_first(found: list[tuple[str, ReferenceClip]]) -> list[ReferenceClip]
     movements = [float(reference_clip.movement.mean()) for _, reference_clip in found]
     frames = [len(reference_clip) for _, reference_clip in found]
     mean = sum(m * n for m, n in zip(movements, frames, strict=True)) / max(1, sum(frames))
-    far = [abs(math.log((movement + 1e-6) / (mean + 1e-6))) for movement in movements]
+    # Rounded, because a clip and its mirror image differ in last digits only; the recording comes first.
+    far = [round(abs(math.log((movement + 1e-6) / (mean + 1e-6))), 4) for movement in movements]
     ranked: list[tuple[int, float, str, int]] = []
     before = Counter[str]()
     for i in sorted(range(len(found)), key=far.__getitem__):

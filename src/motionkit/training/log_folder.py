@@ -9,10 +9,13 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from motionkit.errors import OverwriteError
+
 if TYPE_CHECKING:
     from motionkit.training.report import TrainEvent
 
 TABLE = "log.csv"
+BEGINS = b"step,seconds,"
 
 
 class LogFolder(AbstractContextManager["LogFolder"]):
@@ -30,8 +33,7 @@ class LogFolder(AbstractContextManager["LogFolder"]):
         self.folder, self._on_note, self._writes = Path(folder), on_note, True
         self.folder.mkdir(parents=True, exist_ok=True)
         self._board = _board(self.folder)
-        if not resumed and (self.folder / TABLE).is_file():
-            (self.folder / TABLE).unlink(missing_ok=True)  # that of an earlier run
+        self._adds = resumed  # otherwise the first row replaces the table of an earlier run
 
     def __call__(self, event: TrainEvent) -> None:
         """Write the numbers of an event, if it has any."""
@@ -56,12 +58,13 @@ class LogFolder(AbstractContextManager["LogFolder"]):
 
     def _add_row(self, row: dict[str, Any]) -> None:
         path = self.folder / TABLE
-        fresh = not path.exists() or not path.stat().st_size
-        with path.open("a", encoding="utf-8", newline="") as file:
+        fresh = not self._adds or not path.exists() or not path.stat().st_size
+        with path.open("w" if fresh else "a", encoding="utf-8", newline="") as file:
             writer = csv.DictWriter(file, list(row))
             if fresh:
                 writer.writeheader()
             writer.writerow(row)
+        self._adds = True
 
     def _show(self, values: dict[str, float], step: int) -> None:
         for name, value in values.items() if self._board is not None else ():
@@ -79,3 +82,15 @@ def _board(folder: Path) -> Any:
     except ImportError:
         return None
     return SummaryWriter(str(folder))
+
+
+def check_table(folder: Path) -> None:
+    """Raise OverwriteError if the folder has a log.csv that no run wrote."""
+    path = folder / TABLE
+    if path.is_file():
+        with path.open("rb") as file:
+            begins = file.read(len(BEGINS))
+        if begins not in (b"", BEGINS):
+            raise OverwriteError(
+                f"{path}: was not written by motionkit; choose another folder, or replace it with --force"
+            )

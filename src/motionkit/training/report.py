@@ -12,6 +12,9 @@ from typing import Any
 from motionkit.training.progress import Progress
 from motionkit.training.scores import TypeScore
 
+# Clips of roll-outs that a run writes to its folder (scores.py, view/preview.py).
+SAMPLES = ("samples/*-predicted.bvh", "samples/*-true.bvh", "preview/*-step-*.bvh")
+
 
 @dataclass(frozen=True)
 class TrainEvent:
@@ -44,9 +47,9 @@ class RunReport:
         self._logs = True  # false once writing log.jsonl has failed
 
     def clear(self) -> None:
-        """Remove files of an earlier run, which would be taken for this run's."""
+        """Remove files of an earlier run, which would be taken for this run's; others' clips stay."""
         stale = [self.folder / "checkpoint.safetensors"]
-        stale += [file for name in ("samples", "preview") for file in self.folder.glob(f"{name}/*.bvh")]
+        stale += [file for pattern in SAMPLES for file in self.folder.glob(pattern)]
         with suppress(OSError):  # a folder that cannot be written is reported later
             if (self.folder / "log.jsonl").exists():
                 (self.folder / "log.jsonl").open("w").close()

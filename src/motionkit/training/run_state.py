@@ -60,6 +60,7 @@ class Checkpoint:
             "format": FORMAT,
             "step": at.step,
             "seconds": at.seconds,
+            "losses": at.losses,
             "options": self.options.to_dict(),
             "clips": self.digest,
             "references": self.dataset.reference_rotations.tolist(),
@@ -112,6 +113,7 @@ class Checkpoint:
             )
         _restore(path, tensors, learner)
         at.step, at.seconds = int(facts["step"]), float(facts["seconds"])
+        at.losses = facts.get("losses", {})
         block = facts.get("block")
         if block is None:
             return None
@@ -207,6 +209,9 @@ def _check_facts(facts: dict[str, Any]) -> None:
         least = max(0, step - MOST_BLOCK)
         check_number("the first step of the block", block.get("step"), least, step - 1, whole=True)
         check_number("progress", block.get("progress"), 0, 1)
+    losses = facts.get("losses", {})
+    if not isinstance(losses, dict) or not all(isinstance(value, float) for value in losses.values()):
+        raise ModelError(f"losses are {losses!r:.60}, expected numbers by name")
     if not isinstance(facts.get("options"), dict):
         raise ModelError(f"options is {facts.get('options')!r:.60}, expected an object")
 

@@ -128,11 +128,14 @@ class TrainingRun:
         """Train until the end or a signal, and write the model and the checkpoint."""
         self._prepare()
         previous = self._catch_signals()
-        finished = False
+        finished, begun = False, self.progress.step
         try:
             self._loop()
             finished = self.progress.share >= 1.0
-            if self.processes.first:
+            # A run that had ended already has written its model, with sampling presets and scores.
+            if self.processes.first and not (
+                begun and self.progress.step == begun and self.outcome.path.exists()
+            ):
                 self._save_all()
         finally:
             self.blocks.close()

@@ -21,7 +21,7 @@ from motionkit.lab.networks.baseline import MemorylessStream
 from motionkit.lab.paper.batched_rollouts import _Batch, roll_out
 from motionkit.lab.paper.datasets import select
 from motionkit.lab.paper.held_out_errors import FEWEST, held_out_errors, open_loop_starts
-from motionkit.lab.paper.protocol import sequence_controls
+from motionkit.lab.paper.protocol import means, sequence_controls
 from motionkit.lab.statistics import rounded
 from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
@@ -137,3 +137,13 @@ def test_rounding_is_the_laboratorys(dataset: Dataset) -> None:
         Copying(preset("tptn-paper"), ControlLayout(dataset.types, "paper").size), dataset
     )
     assert all(value == rounded(value, 5) for value in found["error"].values())
+
+
+def test_means_compare_the_same_sequences() -> None:
+    """A body whose toes never touch the floor leaves the recorded mean, too; else floating would look better."""
+    values = ([None, 0.3, None], [0.1, 0.1, 2.0], [0.2, None, 4.0])
+    rows = [
+        {"frames": 60, "values": {"skate": [made, real], "count": [more, None]}}
+        for made, real, more in values
+    ]
+    assert means(rows) == {"skate": [0.1, 0.1], "count": [3.0, None]}

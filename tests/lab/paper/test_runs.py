@@ -31,7 +31,7 @@ from motionkit.models.bundled import BUNDLED, open_model
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.training.presets import train_options
-from synthetic_motions import make_cartwheel, make_dance, make_idle, make_walk
+from synthetic_motions import make_cartwheel, make_dance, make_idle, make_jump, make_walk
 
 pytestmark = pytest.mark.thorough
 
@@ -292,6 +292,18 @@ def test_a_training_set_has_no_test_sequence(
     monkeypatch.setitem(SELECTIONS, "empty", Selection("empty", "nothing", lambda dataset: ([], [])))
     with pytest.raises(DatasetError, match="no training clips for the data set empty"):
         select(paper_folder, "empty")
+
+
+def test_an_image_without_a_type_does_not_train(tmp_path: Path) -> None:
+    """Mirrored hops to the left are hops to the right, which this data does not have."""
+    (tmp_path / "hops").mkdir()
+    for i in range(3):
+        write_bvh(tmp_path / "hops" / f"jumping-l_{i}.bvh", make_jump(150, phase=float(i), side=1.0))
+        write_bvh(tmp_path / "hops" / f"walking_{i}.bvh", make_walk(150, phase=float(i)))
+    options = PreprocessOptions(jobs=1, layout="expmap-root-1", smooth=False, held_out=("test",))
+    preprocess([tmp_path / "hops"], tmp_path / "data", options)
+    images = [clip for clip in select(tmp_path / "data", "all-mirrored").clips if clip.mirrored]
+    assert images and all("walking" in clip.name for clip in images)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.data.dataset import MIRRORED, Clip, Dataset
+from motionkit.data.dataset import Clip, Dataset
 from motionkit.errors import DatasetError
 from motionkit.files import read_json
 from motionkit.names import counted
@@ -115,7 +115,7 @@ def user_selection(folder: Path, name: str) -> Selection:
         if "types" in found:
             train, test = (_only(dataset, clips, found["types"].__contains__) for clips in (train, test))
         if found.get("mirrored"):
-            train += list(map(_image, train))
+            train += _images(dataset, train)
         return train, _long(test)
 
     return Selection(name, found.get("text", "a data set of one's own"), choose)
@@ -144,19 +144,20 @@ def _long(clips: list[Clip]) -> list[Clip]:
     return [clip for clip in clips if clip.frames >= LEAST_TEST]
 
 
-def _image(clip: Clip) -> Clip:
-    return replace(clip, name=clip.name + MIRRORED, mirrored=True)
+def _images(dataset: Dataset, clips: list[Clip]) -> list[Clip]:
+    """The mirror images of clips, except where the data lacks the type of the other side: they would have no label."""
+    return [dataset.image(clip) for clip in clips if dataset.image_known[dataset.clip_types(clip)].all()]
 
 
 def _with_mirrors(dataset: Dataset, train: list[Clip], test: list[Clip], types: set[str]) -> list[Clip]:
-    """Test clips with, for each type they lack, the mirror image of its longest training clip (paper section 3)."""
+    """Test clips with, for each type they lack, the longest mirror image of a training clip (paper section 3)."""
     tested = {kind for clip in test for kind in frames_of(dataset, clip)}
     out = list(test)
+    images = _images(dataset, _long(train))
     for kind in sorted(types - tested):
-        having = [clip for clip in _long(train) if kind in frames_of(dataset, clip)]
+        having = [clip for clip in images if kind in frames_of(dataset, clip)]
         if having:
-            longest = max(having, key=lambda clip: frames_of(dataset, clip)[kind])
-            out.append(_image(longest))
+            out.append(max(having, key=lambda clip: frames_of(dataset, clip)[kind]))
     return out
 
 
@@ -204,7 +205,7 @@ def _all_mirrored(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
     """As _all, and the mirror images of training clips but those that are tested on, or whose original is."""
     train, test = _all(dataset)
     tested = {(clip.start, clip.frames) for clip in test}
-    return [*train, *(_image(clip) for clip in train if (clip.start, clip.frames) not in tested)], test
+    return [*train, *_images(dataset, [c for c in train if (c.start, c.frames) not in tested])], test
 
 
 def is_dance(kind: str) -> bool:

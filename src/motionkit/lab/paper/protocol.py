@@ -166,10 +166,15 @@ def _rounded(value: float | None) -> float | None:
 
 
 def means(rows: list[dict]) -> dict[str, list[float | None]]:
-    """Return means over frames of [made, recorded] of each metric, from rows of sequences."""
+    """Return means over frames of [made, recorded] of each metric, over the rows of sequences that have both.
+
+    Metrics that recordings do not have at all are means of what was made.
+    """
     out: dict[str, list[float | None]] = {}
     for metric in rows[0]["values"]:
-        sides = ([(r["values"][metric][side], r["frames"]) for r in rows] for side in (0, 1))
-        known = ([pair for pair in each if pair[0] is not None] for each in sides)
-        out[metric] = [_rounded(weighted_mean(each)) if each else None for each in known]
+        found = [(*r["values"][metric], r["frames"]) for r in rows]
+        compared = any(real is not None for _, real, _ in found)
+        found = [each for each in found if each[0] is not None and (each[1] is not None or not compared)]
+        made, real = ([(each[side], each[2]) for each in found if each[side] is not None] for side in (0, 1))
+        out[metric] = [_rounded(weighted_mean(each)) if each else None for each in (made, real)]
     return out
