@@ -243,6 +243,17 @@ def test_new_motion_on_my_rig(place: Path) -> None:
     mk.write_view("door.png", door.motion, mk.read_bvh("c.bvh"))
 
 
+def test_one_animation_of_the_clip_on_the_rig(place: Path) -> None:
+    assert run("convert", "walk.bvh", "hero.glb").exit_code == 0
+    assert run("retarget", "walk.bvh", "--rig", "hero.glb", "--name", "other", "-o", "two.glb").exit_code == 0
+    words = ("retarget", "walk.bvh", "--rig", "two.glb", "-o", "out.glb", "--from")
+    assert "has 2 animations, choose one" in fault(*words, "two.glb")
+    assert "no animation called third" in fault(*words, "two.glb#third")
+    assert run(*words, "nope.glb#other").exit_code == 2
+    made = run(*words, "two.glb#other")
+    assert made.exit_code == 0, made.output
+
+
 def test_metrics_are_those_of_the_motion_on_the_rig(place: Path) -> None:
     """On a rig with other legs feet slide otherwise than on the canonical joints; the line says what was written."""
     offsets = canonical_skeleton().offsets.copy()

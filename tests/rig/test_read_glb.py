@@ -109,10 +109,12 @@ def test_accessors_of_every_kind(tmp_path: Path, output: Callable[[Maker], int])
     maker.clip("turn", output(maker), "CUBICSPLINE" if output is spline else "LINEAR")
     motion = read_motion(maker.write(tmp_path / "a.glb"))
     arm = motion.skeleton.names.index("LeftArm")
-    assert (len(motion), motion.fps) == (3, 2.0)
+    # Between so few keys a spline is a curve, which takes more frames.
+    frames = 30 if output is spline else 1
+    assert (len(motion), motion.fps) == (2 * frames + 1, 2.0 * frames)
     for frame in range(3):
         wanted = np.roll(TURNS[frame], 1)
-        assert float(quat_angle(motion.local_rotations[frame, arm], wanted)) < 1e-3
+        assert float(quat_angle(motion.local_rotations[frame * frames, arm], wanted)) < 1e-3
     rest = read_rig(tmp_path / "a.glb").skeleton
     assert np.abs(motion.skeleton.offsets - rest.offsets * 100.0).max() < 1e-3
 
@@ -134,7 +136,8 @@ def test_keys_without_a_number_are_filled(tmp_path: Path, how: str) -> None:
     assert notes == [f"a.glb: read with {filled} {words} without a number filled from neighbouring frames"]
     arm = motion.skeleton.names.index("LeftArm")
     wanted = [[HALF, 0, HALF, 0], [1, 0, 0, 0]][how == "LINEAR"]
-    assert float(quat_angle(motion.local_rotations[1, arm], np.float32(wanted))) < 1e-3
+    middle = motion.local_rotations[len(motion) // 2, arm]
+    assert float(quat_angle(middle, np.float32(wanted))) < 1e-3
     with reading(strict=True), pytest.raises(MotionkitError, match="not finite"):
         read_motion(path)
 
@@ -152,6 +155,58 @@ def test_which_animation_is_never_guessed(tmp_path: Path) -> None:
     with reading(animation="point"):
         assert read_motion(path).seconds == pytest.approx(3.0)
         assert retarget_file(path)[0].seconds == pytest.approx(3.0)
+
+
+def test_animations_of_one_name_are_numbered(tmp_path: Path) -> None:
+    maker = Maker()
+    for times in (TIMES, 2 * TIMES):
+        maker.clip("mixamo.com", plain(maker), times=times)
+    path = maker.write(tmp_path / "a.glb")
+    with pytest.raises(MotionkitError, match=r"mixamo.com \(1\.00 s\), mixamo.com_2 \(2\.00 s\)"):
+        read_motion(path)
+    assert read_clip(path, "mixamo.com_2").motion.fps == 1.0
+
+
+def test_keys_between_those_of_another_track_are_kept(tmp_path: Path) -> None:
+    maker = Maker()
+    maker.clip("turn", plain(maker))
+    (animation,) = maker.value["animations"]
+    times = maker.floats(np.float32([0.0, 0.25, 1.0]), "SCALAR", max=[1.0], min=[0.0])
+    animation["samplers"].append({"input": times, "output": plain(maker)})
+    animation["channels"].append({"sampler": 1, "target": {"node": maker.node("Head"), "path": "rotation"}})
+    motion = read_motion(maker.write(tmp_path / "a.glb"))
+    assert (len(motion), motion.fps) == (61, 60.0)
+    for frame, name in ((15, "Head"), (30, "LeftArm")):
+        turned = motion.local_rotations[frame, motion.skeleton.names.index(name)]
+        assert float(quat_angle(turned, np.roll(TURNS[1], 1))) < 1e-3
+
+
+@pytest.mark.parametrize(("times", "told", "fps"), [
+    (TIMES, None, 2.0), (TIMES * (2 / 62.5), None, 62.5), (TIMES[:1], 24.0, 24.0), (TIMES, 30.0, 2.0),
+])  # fmt: skip
+def test_the_rate_is_that_of_the_keys_or_told(
+    tmp_path: Path, times: Array, told: float | None, fps: float
+) -> None:
+    maker = Maker()
+    maker.clip("turn", maker.floats(TURNS[: len(times)], "VEC4"), times=times)
+    maker.value["animations"][0] |= {"extras": {"fps": told}} if told else {}
+    assert read_motion(maker.write(tmp_path / "a.glb")).fps == pytest.approx(fps, rel=1e-5)
+
+
+def test_what_a_motion_does_not_hold_is_told(tmp_path: Path) -> None:
+    maker, notes = Maker(), list[str]()
+    maker.clip("turn", plain(maker))
+    maker.value["nodes"].append({"name": "Sword"})
+    maker.value["nodes"][0]["children"].append(len(maker.value["nodes"]) - 1)
+    for node, path in ((len(maker.value["nodes"]) - 1, "rotation"), (maker.node("Head"), "weights")):
+        maker.value["animations"][0]["channels"].append(
+            {"sampler": 0, "target": {"node": node, "path": path}}
+        )
+    with reading(on_note=notes.append):
+        read_motion(maker.write(tmp_path / "a.glb"))
+    assert notes == [
+        "a.glb: read with moving nodes outside the skeleton left out: Sword; changing shapes left out: Head"
+    ]
 
 
 def test_nodes_above_the_skeleton_carry_it(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import click
 
 from motionkit.cli.common import EXISTING_FILE, eager_option, gathered, option, say, strict_option, together
 from motionkit.errors import MotionkitError
-from motionkit.reading import as_found
+from motionkit.reading import as_found, reading
 
 if TYPE_CHECKING:
     from motionkit.export.clip import Clip
@@ -62,12 +62,30 @@ map_option = click.option(
     help="Bone map of the --rig file (JSON, from `motionkit retarget --save-map`); found by names and shape by "
     "default.",
 )
+
+
+class ClipFile(click.Path):
+    """An existing file, or FILE#NAME with the name of one of its animations."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path as it is given; fails where its file does not exist."""
+        file, name = animation_in(Path(value))
+        super().convert(file, param, ctx)
+        return file if name is None else Path(value)
+
+
+def animation_in(path: Path) -> tuple[Path, str | None]:
+    """The file and the animation of FILE#NAME; a path that exists is a file alone."""
+    file, mark, name = str(path).partition("#")
+    return (path, None) if path.exists() or not mark else (Path(file), name)
+
+
 clip_option = click.option(
     "--from",
     "clip_path",
-    type=EXISTING_FILE,
-    help="Clip of the --rig that moves the joints motionkit does not know (fingers, props); by default they keep "
-    "their rest pose.",
+    type=ClipFile(exists=True, dir_okay=False, path_type=Path),
+    help="Clip of the --rig that moves the joints motionkit does not know (fingers, props), or FILE#NAME for one of "
+    "its animations; by default they keep their rest pose.",
 )
 rest_options = together(
     option(
@@ -208,8 +226,10 @@ def open_rig(rig_path: Path | None, map_path: Path | None = None, clip_path: Pat
 
     with as_found():
         rig = read_rig(rig_path, map_path)
-        clip = None if clip_path is None else read_clip(clip_path, rig)
-    files = tuple(path for path in (rig_path, map_path, clip_path) if path is not None)
+        clip_file, animation = (None, None) if clip_path is None else animation_in(clip_path)
+        with reading(animation=animation):
+            clip = None if clip_file is None else read_clip(clip_file, rig)
+    files = tuple(path for path in (rig_path, map_path, clip_file) if path is not None)
     return RigChoice(rig, clip, files, fps=rig_rate(rig_path))
 
 

@@ -22,6 +22,7 @@ from motionkit.motion.rotations import quat_inverse, quat_rotate
 from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.character import Character
 from motionkit.rig.gltf import INDICES, VERTICES, GltfDocument
+from motionkit.rig.read_glb import clip_lengths, unused_name
 
 
 def write_glb(path: str | Path, clip: Clip) -> None:
@@ -56,19 +57,17 @@ def _write_into(path: str | Path, clip: Clip, character: Character) -> None:
     """Write the file of a character with a motion on it as one more animation; all else stays byte for byte."""
     file = character.tree.file
     if not character.holds(clip.motion):
-        joints = character.skeleton.names != clip.motion.skeleton.names
-        other = "other joints" if joints else "another rest pose"
-        kept = "" if joints else ", which keeps its own; --rest is for other formats"
-        raise MotionkitError(f"{path}: not written: the motion has {other} than {file.path}{kept}")
+        ours, theirs = (set(each.names) for each in (character.skeleton, clip.motion.skeleton))
+        if more := sorted(theirs - ours):
+            why = f"adds the joint {more[0]} to those of {file.path}; --root ground is for other formats"
+        elif ours - theirs:
+            why = f"lacks the joint {min(ours - theirs)} of {file.path}"
+        else:
+            why = f"has another rest pose than {file.path}, which keeps its own; --rest is for other formats"
+        raise MotionkitError(f"{path}: not written: the motion {why}")
     document = file.addition()
-    used_names = (
-        set()
-        if clip.alone
-        else {name for entry in file.items("animations") if isinstance(name := entry.get("name"), str)}
-    )
-    number, name = 2, clip.name
-    while name in used_names:
-        name, number = f"{clip.name}_{number}", number + 1
+    used = [] if clip.alone else [name for name, _ in clip_lengths(file)]
+    name = unused_name(clip.name, used)
     tracks = character.tracks(clip.motion)
     add_tracks(document, replace(clip, name=name), tracks)
     parts = character.parts({node for node, _, _ in tracks})

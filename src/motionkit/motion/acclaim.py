@@ -123,7 +123,7 @@ def skeleton_file(path: str | Path) -> Path:
     fitting = [one for one in found if _named_for(path, one)]
     if fitting or len(found) == 1:
         return max(fitting or found, key=lambda one: len(one.stem))
-    names = f"{stem}.asf or {stem.partition('_')[0]}.asf"
+    names = " or ".join(f"{one}.asf" for one in dict.fromkeys((stem, stem.partition("_")[0])))
     other = f"; there are {', '.join(one.name for one in found[:4])}" if found else ""
     raise BvhError(path, f"needs its skeleton beside it, {names}{other}" if path.exists() else "no such file")
 

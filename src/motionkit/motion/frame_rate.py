@@ -17,9 +17,12 @@ def frames_at(count: float, fps: float) -> int:
     return max(1, round(count * fps / RATE))
 
 
-def nominal_rate(rate: float) -> float:
-    """The exact rate for a measured one above 0: an NTSC rate, a whole number, or the measured rate itself."""
+def nominal_rate(rate: float, within: float = WHOLE_WITHIN) -> float:
+    """The exact rate for a measured one above 0: an NTSC rate, a whole number, or the measured rate itself.
+
+    within is the largest relative difference from a whole number; frame times of .bvh files have few digits.
+    """
     whole = round(rate)
     if whole in (24, 30, 60, 120) and abs(rate - NTSC * whole) < NTSC_WITHIN * rate:
         return NTSC * whole
-    return float(whole) if whole and abs(rate - whole) < WHOLE_WITHIN * whole else rate
+    return float(whole) if whole and abs(rate - whole) < within * whole else rate

@@ -57,7 +57,7 @@ class Character:
     def outer(self) -> Doubles:
         """(J, 4, 4) rest transforms of the parents of the joints' nodes."""
         parents = [self.tree.parents[node] for node in self.nodes]
-        return np.stack([self.tree.world[parent] if parent >= 0 else np.eye(4) for parent in parents])
+        return np.stack([self.tree.rest_world[parent] if parent >= 0 else np.eye(4) for parent in parents])
 
     @cached_property
     def axes(self) -> Doubles:
@@ -67,7 +67,20 @@ class Character:
     @cached_property
     def rest(self) -> tuple[Doubles, Doubles]:
         """Rest rotations (J, 4) and translations (J, 3) of the nodes."""
-        local = np.stack([self.tree.local[node] for node in self.nodes])
+        return self._local(self.tree.rest_local)
+
+    @property
+    def posed(self) -> bool:
+        """Whether the file was saved in another pose than the one its skin is bound in."""
+        return self.tree.rest_local is not self.tree.local
+
+    @cached_property
+    def pose(self) -> tuple[Doubles, Doubles]:
+        """Rotations (J, 4) and translations (J, 3) that the nodes have in the file, where no animation moves them."""
+        return self._local(self.tree.local)
+
+    def _local(self, transforms: list[Doubles]) -> tuple[Doubles, Doubles]:
+        local = np.stack([transforms[node] for node in self.nodes])
         return matrix_to_quat(nearest_rotations(local[:, :3, :3])), local[:, :3, 3]
 
     @cached_property
@@ -127,22 +140,27 @@ class Character:
         return ours / theirs if theirs else 1.0
 
     def tracks(self, motion: Motion) -> list[tuple[int, str, Array]]:
-        """Node, path and values (T, 3) or x, y, z, w (T, 4) of all that leaves the rest pose, for a motion it holds."""
+        """Node, path, values (T, 3) or x, y, z, w (T, 4) of all that leaves the file's pose, for a motion it holds."""
         unit = self.metres(motion)
         motion = motion if abs(unit - 1.0) < 1e-6 else motion.scaled(unit)
         out: list[tuple[int, str, Array]] = []
-        turns, places = self.rest
+        (turns, rest), (posed, places), frames = self.rest, self.pose, len(motion)
         for joint, node in enumerate(self.nodes):
-            moved = motion.root_positions - self.outer[0, :3, 3] if joint == 0 else None
-            if joint and motion.local_positions is not None:
+            outer = self.outer[joint, :3, :3]
+            moved = np.tile(rest[joint] @ outer.T, (frames, 1)) if self.posed else None
+            if joint == 0:
+                moved = motion.root_positions - self.outer[0, :3, 3]
+            elif motion.local_positions is not None:
                 moved = motion.local_positions[:, joint]
             if moved is not None:
-                moved = moved.astype(np.float64) @ np.linalg.inv(self.outer[joint, :3, :3]).T
-                away = np.abs((moved - places[joint]) @ self.outer[joint, :3, :3].T).max()
-                if away > _STILL:
+                moved = moved.astype(np.float64) @ np.linalg.inv(outer).T
+                if np.abs((moved - places[joint]) @ outer.T).max() > _STILL:
                     out.append((node, "translation", moved))
             turned = motion.local_rotations[:, joint].astype(np.float64)
-            if joint == 0 or np.abs(turned[:, 1:]).max() > _STILL / 2:
+            still = (
+                float(np.abs(quat_multiply(posed[joint], quat_inverse(turns[joint]))[1:]).max()) <= _STILL / 2
+            )
+            if joint == 0 or not still or np.abs(turned[:, 1:]).max() > _STILL / 2:
                 there = quat_inverse(self.axes[joint])
                 turned = quat_multiply(quat_multiply(there, quat_normalize(turned)), self.axes[joint])
                 turned = quat_continuous(quat_normalize(quat_multiply(turned, turns[joint])))
@@ -180,7 +198,7 @@ def read_character(path: str | Path) -> Character:
     if apart:
         raise tree.fault(f"the avatar's bone table has a {apart[0]} that is not part of its skeleton")
     parents = tuple(index.get(tree.parents[node], -1) for node in nodes)
-    places = np.stack([tree.world[node][:3, 3] for node in nodes])
+    places = np.stack([tree.rest_world[node][:3, 3] for node in nodes])
     offsets = places - np.stack([places[parent] if parent >= 0 else np.zeros(3) for parent in parents])
     skeleton = Skeleton(tree.names(nodes), parents, offsets.astype(np.float32), _ends(tree, nodes, parents))
     return Character(tree, tuple(nodes), skeleton, {name: index[node] for name, node in humanoid.items()})
@@ -199,7 +217,7 @@ def _ends(
             and len(end) == 3
             and all(type(v) in (int, float) and abs(v) < 1e6 for v in end)
         ):
-            x, y, z = tree.world[nodes[joint]][:3, :3] @ np.array(end, np.float64)
+            x, y, z = tree.rest_world[nodes[joint]][:3, :3] @ np.array(end, np.float64)
             ends[joint] = (float(x), float(y), float(z))
     return ends
 

@@ -31,9 +31,17 @@ VRM_BONES = {"hips": "Hips", "head": "Head"} | {
     for bone, ours in _VRM_LIMBS.items()
 }
 
+# Degrees, and share of the skin's size, by which a joint of a posed character is away from its bind pose.
+POSED = (5.0, 0.02)
+MOST_TURNED = 45.0  # degrees by which the top joint of a posed character is turned away from its bind pose
+
 
 class GltfNodes:
-    """The nodes of a file: parents (-1 for none), an order with parents first, and local and global rest transforms."""
+    """The nodes of a file: parents (-1 for none), an order with parents first, and their transforms.
+
+    local and world are the transforms (4, 4) that the nodes have. rest_local and rest_world are those in which the
+    skins are bound; they are the same lists unless the file was saved in another pose.
+    """
 
     def __init__(self, file: GltfFile) -> None:
         """Read the nodes; raises MotionkitError, naming the file, if they are no tree of valid transforms."""
@@ -49,10 +57,15 @@ class GltfNodes:
                 self.parents[child] = node
         self.order = self._top_down()
         self.local: list[Doubles] = [self._transform(node) for node in range(len(self.nodes))]
-        self.world = list(self.local)
-        for node in self.order:
-            if self.parents[node] >= 0:
-                self.world[node] = self.world[self.parents[node]] @ self.local[node]
+        self.world = self._worlds({})
+        bound: dict[int, Doubles] = {}
+        # Our own bodies are bound in a pose of their own.
+        for skin in [] if self.file.by_motionkit() else self.file.items("skins"):
+            # Without readable matrices the nodes' own pose is at rest.
+            with contextlib.suppress(MotionkitError, np.linalg.LinAlgError):
+                bound = self._bound(skin) | bound
+        self.rest_world = self._worlds(bound) if bound else self.world
+        self.rest_local = self._locals(self.rest_world) if bound else self.local
 
     def name(self, node: int) -> str:
         """The name of a node in messages and, made unique, of its joint."""
@@ -65,6 +78,47 @@ class GltfNodes:
         if not good:
             raise self.fault(f"expected node numbers below {len(self.nodes)} as {what}")
         return list(value)
+
+    def _worlds(self, known: dict[int, Doubles]) -> list[Doubles]:
+        """Global transforms of all nodes; some may be known, and move those below them."""
+        out = list(self.local)
+        for node in self.order:
+            if node in known:
+                out[node] = known[node]
+            elif self.parents[node] >= 0:
+                out[node] = out[self.parents[node]] @ self.local[node]
+        return out
+
+    def _locals(self, world: list[Doubles]) -> list[Doubles]:
+        above = [world[parent] if parent >= 0 else np.eye(4) for parent in self.parents]
+        return [np.linalg.inv(outer) @ own for outer, own in zip(above, world, strict=True)]
+
+    def _bound(self, skin: dict[str, Any]) -> dict[int, Doubles]:
+        """The global transforms in which the joints of a skin are bound to its vertices; none if they have these.
+
+        A joint's transform times its inverse bind matrix leads from the space of the mesh to the scene. In the bind
+        pose it is the same for all joints. In another pose it is taken to be none, or that of the node above the
+        skeleton, whichever is nearer to that of the top joint, which may be posed, too.
+
+        Raises:
+            MotionkitError: the matrices cannot be read.
+        """
+        joints = self.indices(skin.get("joints"), "joints of a skin")
+        binds = self.file.array(skin.get("inverseBindMatrices"), 16).reshape(-1, 4, 4).swapaxes(1, 2)
+        if not joints or len(binds) < len(joints):
+            return {}
+        inverse = np.linalg.inv(binds[: len(joints)].astype(np.float64))
+        spaces = np.stack([self.world[joint] for joint in joints]) @ np.linalg.inv(inverse)
+        top = min(range(len(joints)), key=lambda i: self.order.index(joints[i]))
+        reach = float(np.ptp(inverse[:, :3, 3], axis=0).max())
+        apart = [_apart(spaces[top], space) for space in spaces]
+        if max(turn for turn, _ in apart) < POSED[0] and max(away for _, away in apart) < POSED[1] * reach:
+            return {}
+        above = self.parents[joints[top]]
+        usual = [np.eye(4), *([self.world[above]] if above >= 0 else [])]
+        turns = [_apart(space, spaces[top])[0] for space in usual]
+        space = usual[int(np.argmin(turns))] if min(turns) < MOST_TURNED else spaces[top]
+        return {joint: space @ own for joint, own in zip(joints, inverse, strict=True)}
 
     def _top_down(self) -> list[int]:
         """All nodes, parents before children, in the order of the file."""
@@ -249,3 +303,13 @@ class GltfNodes:
     def names(self, nodes: list[int]) -> tuple[str, ...]:
         """Unique names of joints that a BVH file can hold."""
         return joint_names(map(self.name, nodes), MAX_NAME)
+
+
+def _apart(one: Doubles, other: Doubles) -> tuple[float, float]:
+    """Degrees and distance between two transforms; the degrees are infinite where their scales differ."""
+    change = np.linalg.inv(one) @ other
+    size = float(abs(np.linalg.det(change[:3, :3]))) ** (1.0 / 3.0)
+    if not 0.98 < size < 1.02:
+        return math.inf, math.inf
+    turn = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(change[:3, :3])) / size - 1.0) / 2.0))))
+    return turn, float(np.linalg.norm(change[:3, 3]))

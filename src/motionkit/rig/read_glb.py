@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,9 @@ from motionkit.rig.character import Character, nearest_rotations
 from motionkit.rig.gltf import GltfFile
 
 CM = 100.0
-FPS = 60.0  # rate of a file whose keys are not evenly spaced, or further than a second apart
+FPS = 60.0  # rate of a file whose keys are not evenly spaced, or too few
+KEY_RATE_WITHIN = 1e-4  # keys are float32
+DENSE = 15.0  # keys a second from which frames at the keys show splines and steps, too
 FASTEST, LONGEST = 480.0, 3600.0  # frames per second, and seconds, of the fastest and the longest animation
 MOST_POSES = 2**23  # joints times frames between a few keys; an hour of 77 joints at 30 fps
 KEY_WITHIN = 1e-3  # share of the time between keys; a frame this little before a key counts as at the key
@@ -71,10 +74,12 @@ def motion_of(character: Character, clip: str | None = None) -> tuple[str, Motio
     tracks = _tracks(file, animation, _moving(character))
     if not tracks:
         raise file.fault(f"its animation {visible(name)} moves no joint of the skeleton")
-    times, fps = _frames(file, tracks, len(character.nodes))
+    times, fps = _frames(file, tracks, len(character.nodes), _told_rate(file, animation))
     index = {node: joint for joint, node in enumerate(character.nodes)}
-    rotations = np.broadcast_to(character.rest[0], (len(times), len(index), 4)).astype(np.float32)
+    rotations = np.broadcast_to(character.pose[0], (len(times), len(index), 4)).astype(np.float32)
     places: dict[int, Array] = {}
+    if character.posed:  # nodes without keys stay as the file has them
+        places = {joint: np.tile(place, (len(times), 1)) for joint, place in enumerate(character.pose[1])}
     for track in tracks:
         joint = index.get(track.node)
         values = track.at(times)
@@ -90,14 +95,25 @@ def motion_of(character: Character, clip: str | None = None) -> tuple[str, Motio
 
 
 def clip_lengths(file: GltfFile) -> list[tuple[str, float]]:
-    """Names and seconds of the animations of a file; an animation without a name is called by its number, from 1."""
-    out = []
+    """Names and seconds of the animations of a file; an animation without a name is called by its number, from 1.
+
+    The second of one name is called NAME_2, as when one is added to a file.
+    """
+    out: dict[str, float] = {}
     for number, animation in enumerate(file.items("animations")):
         name, ends = animation.get("name"), [0.0]
         for sampler in _objects(file, animation, "samplers"):
             ends.append(_last_key(file, sampler))
-        out.append((name if isinstance(name, str) and name.strip() else str(number + 1), max(ends)))
-    return out
+        out[unused_name(name if isinstance(name, str) and name.strip() else str(number + 1), out)] = max(ends)
+    return list(out.items())
+
+
+def unused_name(name: str, used: Collection[str]) -> str:
+    """The name, or with the first number from 2 after it that is not used."""
+    number, free = 2, name
+    while free in used:
+        free, number = f"{name}_{number}", number + 1
+    return free
 
 
 def _last_key(file: GltfFile, sampler: dict[str, Any]) -> float:
@@ -126,9 +142,8 @@ def _animation(file: GltfFile, clip: str | None) -> tuple[str, dict[str, Any]]:
     if clip is None and len(clips) > 1:
         raise file.fault(f"has {len(clips)} animations, choose one with --clip: {listed}")
     found = [i for i, (name, _) in enumerate(clips) if clip in (None, name)]
-    if len(found) != 1:
-        what = "no animation" if not found else f"{len(found)} animations"
-        raise file.fault(f"has {what} called {visible(clip)}; it has: {listed}")
+    if not found:
+        raise file.fault(f"has no animation called {visible(str(clip))}; it has: {listed}")
     return clips[found[0]][0], file.items("animations")[found[0]]
 
 
@@ -154,16 +169,18 @@ def _tracks(file: GltfFile, animation: dict[str, Any], moving: set[int]) -> list
     out: list[Track] = []
     notes = Notes(file.path)
     read: dict[int, Doubles] = {}  # times by accessor, which many samplers share
+    left_out: dict[str, bool] = {}  # names of nodes, and whether their shapes change
     seen: set[tuple[int, str]] = set()
     for channel in _objects(file, animation, "channels"):
         target, which = channel.get("target"), channel.get("sampler")
         if not isinstance(target, dict) or type(which) is not int or not 0 <= which < len(samplers):
             raise file.fault("a channel has no target, or a sampler that does not exist")
         node, path = target.get("node"), target.get("path")
-        if not isinstance(path, str) or path not in _WIDTHS or node is None:
+        if not isinstance(path, str) or path not in (*_WIDTHS, "weights") or node is None:
             continue
-        file.item("nodes", node)
-        if node not in moving:
+        entry = file.item("nodes", node)
+        if node not in moving or path == "weights":
+            left_out[str(entry.get("name") or f"node{node}")] = path == "weights"
             continue
         if (node, path) in seen:
             raise file.fault(f"two channels of an animation move the {path} of node {node}")
@@ -182,7 +199,18 @@ def _tracks(file: GltfFile, animation: dict[str, Any], moving: set[int]) -> list
                 f"a channel has {count:g} values for {len(read[accessor])} times, or times that do not rise"
             )
         out.append(Track(node, path, read[accessor], _filled(file, path, values, int(count), notes), how))
-    report_notes(file.path, notes.lines)
+    report_notes(file.path, (*notes.lines, *_without(left_out)))
+    return out
+
+
+def _without(left_out: Mapping[str, bool]) -> list[str]:
+    """What a motion does not hold of an animation: changes of shapes, and nodes that move outside the skeleton."""
+    out = []
+    for shapes, what in ((False, "moving nodes outside the skeleton"), (True, "changing shapes")):
+        names = [visible(name) for name, changes in left_out.items() if changes == shapes]
+        if names:
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            out.append(f"{what} left out: {', '.join(names[:3])}{more}")
     return out
 
 
@@ -197,14 +225,21 @@ def _filled(file: GltfFile, path: str, values: Doubles, keys: int, notes: Notes)
     return values
 
 
-def _frames(file: GltfFile, tracks: list[Track], joints: int) -> tuple[Doubles, float]:
-    """Times (T,) of the frames in seconds, and their rate."""
+def _told_rate(file: GltfFile, animation: dict[str, Any]) -> float | None:
+    """The rate that motionkit wrote beside an animation, if it did."""
+    extras = animation.get("extras")
+    fps: Any = extras.get("fps") if isinstance(extras, dict) else None
+    known = isinstance(fps, (int, float)) and not isinstance(fps, bool) and 1.0 <= fps <= FASTEST
+    return float(fps) if known else None
+
+
+def _frames(file: GltfFile, tracks: list[Track], joints: int, told: float | None) -> tuple[Doubles, float]:
+    """Times (T,) of the frames in seconds, and their rate, which is the told one for keys that fit it."""
     start, end = min(track.times[0] for track in tracks), max(track.times[-1] for track in tracks)
     keys = max((track.times for track in tracks), key=len)
-    steps = np.diff(keys)
-    fps = FPS
-    if len(steps) and float(np.ptp(steps)) < 0.02 * float(np.median(steps)) and float(steps.mean()) <= 1.0:
-        fps = nominal_rate(1.0 / float(steps.mean()))
+    fps = _key_rate(keys, tracks) or FPS
+    if told and np.abs((keys - start) * told - np.arange(len(keys))).max() < 0.02:
+        fps = told
     if fps > FASTEST:
         raise file.fault(f"its keys are {fps:.4g} a second, expected up to {FASTEST:g}")
     count = round((end - start) * fps) + 1
@@ -218,6 +253,19 @@ def _frames(file: GltfFile, tracks: list[Track], joints: int) -> tuple[Doubles, 
     with naming(file.path, MotionkitError):
         check_memory(count, joints, fps)
     return start + np.arange(count) / fps, fps
+
+
+def _key_rate(keys: Doubles, tracks: list[Track]) -> float | None:
+    """The rate of a track's keys, if frames at it show all tracks as they are."""
+    steps = np.diff(keys)
+    if not len(steps) or float(np.ptp(steps)) >= 0.02 * float(np.median(steps)) or float(steps.mean()) > 1.0:
+        return None
+    fps = 1.0 / float(steps.mean())
+    frames = [(track.times - keys[0]) * fps for track in tracks]
+    if any(float(np.abs(at - at.round()).max()) > 0.1 for at in frames):
+        return None  # keys between frames
+    curved = fps < DENSE and any(track.how != "LINEAR" for track in tracks)
+    return None if curved else nominal_rate(fps, KEY_RATE_WITHIN)
 
 
 def _check_scale(character: Character, node: int, values: Array) -> None:

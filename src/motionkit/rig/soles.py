@@ -100,7 +100,7 @@ def _sole(rig: Rig, character: Character, side: str, part: str) -> Sole | None:
     points, shares = _vertices(character.tree, [nodes[j] for j in joints], [nodes[j] for j in toes])
     if not len(points):
         return None
-    points = (points - character.tree.world[nodes[anchor]][:3, 3]) * rig.scale
+    points = (points - character.tree.rest_world[nodes[anchor]][:3, 3]) * rig.scale
     upright, flat = (
         quat_inverse(rig.differences[JOINT_NAMES.index(name)]).astype(np.float64)
         for name in ("Hips", f"{side}Foot")
@@ -115,7 +115,7 @@ def _sole(rig: Rig, character: Character, side: str, part: str) -> Sole | None:
         toe_height += float(quat_rotate(upright, quat_rotate(quat_inverse(flat), toe))[1])
     moving = shares >= 0.5
     if not moving.any():
-        points += (character.tree.world[nodes[anchor]] - character.tree.world[nodes[ankle]])[
+        points += (character.tree.rest_world[nodes[anchor]] - character.tree.rest_world[nodes[ankle]])[
             :3, 3
         ] * rig.scale
     points = quat_rotate(flat, points)
@@ -141,7 +141,7 @@ def _vertices(tree: GltfNodes, feet: list[int], toes: list[int]) -> tuple[Double
     points, shares = [np.zeros((0, 3))], [np.zeros(0)]
     for skin, places, which, weights in tree.vertices():
         joints = np.array(skin["joints"])
-        moved = np.stack([tree.world[joint] for joint in joints])
+        moved = np.stack([tree.rest_world[joint] for joint in joints])
         if "inverseBindMatrices" in skin:
             binds = tree.file.array(skin["inverseBindMatrices"], 16).reshape(-1, 4, 4).swapaxes(1, 2)
             if len(binds) < len(moved):

@@ -1,0 +1,75 @@
+"""Characters that were saved in a pose: their rest pose is the one that their skin is bound in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.arrays import Array
+from motionkit.export.clip import rig_clip
+from motionkit.export.formats import read_clip, write_motion
+from motionkit.finish.on_rig import on_rig
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.rotations import quat_multiply
+from motionkit.rig.character import Character, read_character
+from motionkit.rig.on_rig import read_rig
+from rig.test_character import worlds
+from rig.test_read_glb import TURNS, Maker, plain
+from synthetic_motions import make_walk
+
+# Half angles about x, y and z, by joint.
+POSE = {
+    "Hips": (0.1, 0.2, 0.0),
+    "LeftArm": (0.0, 0.0, 0.6),
+    "RightUpLeg": (0.4, 0.0, 0.0),
+    "LeftFoot": (0.3, 0.0, 0.2),
+}
+
+
+def saved(folder: Path, name: str, space: Array, posed: bool) -> Character:
+    """A character with a skin that is bound where it stands, in a space of the mesh; and posed afterwards."""
+    maker = Maker()
+    tree = read_character(maker.write(folder / "unbound.glb")).tree
+    (skin,) = maker.value["skins"]
+    binds = np.stack([np.linalg.inv(tree.world[joint]) @ space for joint in skin["joints"]])
+    columns = binds.swapaxes(1, 2).astype("<f4")
+    skin["inverseBindMatrices"] = maker.accessor(len(binds), "MAT4", bufferView=maker.view(columns.tobytes()))
+    for joint, half in POSE.items() if posed else ():
+        node = maker.value["nodes"][maker.node(joint)]
+        turn = np.array([1.0, *half]) / np.linalg.norm([1.0, *half])
+        rest = np.roll(node.get("rotation", [0.0, 0.0, 0.0, 1.0]), 1)
+        node["rotation"] = np.roll(quat_multiply(rest, turn), -1).tolist()
+    if posed:
+        maker.value["nodes"][maker.node("Hips")]["translation"][1] -= 9.0
+    maker.clip("turn", plain(maker))
+    return read_character(maker.write(folder / name))
+
+
+@pytest.mark.parametrize("space", [np.eye(4), np.diag([0.01, 0.01, 0.01, 1.0])], ids=["scene", "armature"])
+def test_a_posed_character_moves_as_if_it_were_at_rest(tmp_path: Path, space: Array) -> None:
+    rest, posed = (saved(tmp_path, f"{name}.glb", space, name == "posed") for name in ("rest", "posed"))
+    assert posed.posed and not rest.posed
+    assert np.abs(posed.skeleton.offsets - rest.skeleton.offsets).max() < 1e-5
+    for name in ("rest", "posed"):
+        rig = read_rig(tmp_path / f"{name}.glb")
+        write_motion(tmp_path / f"{name}-walk.glb", rig_clip(on_rig(make_walk(60), rig), rig, "walk"))
+    made = [worlds(tmp_path / f"{name}-walk.glb") for name in ("rest", "posed")]
+    assert max(np.abs(made[0][node] - made[1][node]).max() for node in made[0]) < 1e-5
+    clips = [read_clip(tmp_path / f"{name}-walk.glb", "walk").motion for name in ("rest", "posed")]
+    apart = [motion_kinematics(clip)[1] for clip in clips]
+    assert np.abs(apart[0] - apart[1]).max() < 1e-3
+
+
+def test_joints_without_keys_stay_in_the_pose_of_the_file(tmp_path: Path) -> None:
+    character = saved(tmp_path, "posed.glb", np.eye(4), posed=True)
+    motion = read_clip(tmp_path / "posed.glb", "turn").motion
+    shown, places = worlds(tmp_path / "posed.glb"), motion_kinematics(motion)[1] / 100.0
+    assert len(motion) == len(TURNS)
+    for joint, name in enumerate(character.skeleton.names):
+        assert np.abs(places[:, joint] - shown[name][:, :3, 3]).max() < 1e-4, name
+
+
+def test_matrices_that_cannot_be_inverted_are_no_pose(tmp_path: Path) -> None:
+    assert not saved(tmp_path, "flat.glb", np.diag([1.0, 1.0, 0.0, 1.0]), posed=True).posed
