@@ -3,6 +3,7 @@
 import { Group, Quaternion, Vector3 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import { VRMLoaderPlugin } from "@pixiv/three-vrm";
+import { toBindPose } from "./bind.js";
 
 const turn = new Quaternion();
 const place = new Vector3();
@@ -27,6 +28,7 @@ export async function readCharacter(bytes) {
   // The toon shader of avatars works tangents out itself, and does not compile with those of a mesh.
   read.scene.traverse(({ geometry, material }) => [material].flat().some((one) => one?.isMToonMaterial) && geometry.deleteAttribute("tangent"));
   read.nodes = await Promise.all((read.parser.json.nodes ?? []).map((_, n) => read.parser.getDependency("node", n)));
+  if (!String(read.asset?.generator).startsWith("motionkit ")) toBindPose(read.scenes);
   return read;
 }
 
