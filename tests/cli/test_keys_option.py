@@ -23,3 +23,15 @@ def test_keys_of_a_file(motionkit, tmp_path: Path) -> None:
         "bad.json: not JSON"
     )
     assert sorted(path for path in tmp_path.iterdir() if path.name != "bad.json") == before
+
+
+def test_the_clip_of_a_key_is_not_overwritten(motionkit, tmp_path: Path) -> None:
+    assert motionkit("synthesize", "--types", "walking:1", "-o", "pose.bvh").code == 0
+    before = (tmp_path / "pose.bvh").read_bytes()
+    (tmp_path / "keys.json").write_text(
+        json.dumps({"keys": [{"time": 1, "pose": {"file": "pose.bvh", "seconds": 0.5}}]})
+    )
+    words = "synthesize", "--types", "walking:1.5", "--keys", "keys.json", "-o", "pose.bvh"
+    said = motionkit(*words)
+    assert said.code == 2 and "pose.bvh: is read by this command" in said.err
+    assert (tmp_path / "pose.bvh").read_bytes() == before

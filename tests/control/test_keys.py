@@ -16,13 +16,14 @@ from motionkit.control.meet import Stretch, arrival, planned_path, recorded_path
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import ControlError, MotionkitError
+from motionkit.inference.start import clip_start
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.reach import reach
 from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
-from motionkit.rig import retarget
+from motionkit.rig import on_rig
 from synthetic_motions import make_walk
 
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
@@ -185,6 +186,8 @@ FAULTS = [
     ([1], "expected"),
     ({"keys": [3]}, "key 1: expected an object"),
     ({"keys": [{"time": 1}]}, "nothing to meet"),
+    ({"keys": [{"time": 1, "joints": {}}]}, "1: nothing to meet"),
+    ({"keys": [{"time": 1, "facing": None, "position": None}]}, "key 1: nothing to meet"),
     ({"keys": [{"time": 1, "facing": 0, "speed": 3}]}, "'speed'"),
     ({"keys": [{"position": [0, 1]}]}, "key 1: expected its time in seconds"),
     ({"keys": [{"facing": 0, "position": [0, 0]}]}, "expected its time in seconds"),
@@ -210,6 +213,24 @@ def test_what_keys_may_not_be(tiny_model: MotionModel, tmp_path: Path, value: ob
     with pytest.raises(ControlError, match=said.replace("'", ".")) as fault:
         read_keys(tmp_path / "keys.json", tiny_model)
     assert "keys.json" in str(fault.value) and "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize("raised", [20.0, -15.0])
+def test_clips_are_put_on_the_floor(tiny_model: MotionModel, tmp_path: Path, raised: float) -> None:
+    """Wherever a capture program had its floor, a pose and a start stand on ours."""
+    walk, poses, starts = make_walk(90), [], []
+    for name, lift in (("level", 0.0), ("raised", raised)):
+        moved = walk.root_positions + np.array([0.0, lift, 0.0], np.float32)
+        write_bvh(tmp_path / f"{name}.bvh", replace(walk, root_positions=moved))
+        (tmp_path / f"{name}.json").write_text(
+            json.dumps({"keys": [{"time": 1, "pose": {"file": f"{name}.bvh", "seconds": 0.5}}]})
+        )
+        (key,) = read_keys(tmp_path / f"{name}.json", tiny_model)
+        assert key.pose is not None
+        poses.append(key.pose.height)
+        starts.append(clip_start(tiny_model, tmp_path / f"{name}.bvh", 1).features)
+    assert poses[0] == pytest.approx(poses[1], abs=1e-4)
+    assert np.abs(starts[0] - starts[1]).max() < 1e-2
 
 
 def test_a_file_of_one_frame_is_a_pose(tiny_model: MotionModel, tmp_path: Path) -> None:
@@ -282,8 +303,8 @@ def test_each_file_is_read_once(
     for name in "ab":
         write_bvh(tmp_path / f"{name}.bvh", make_walk(60))
     read = []
-    plain = retarget.retarget_file
-    monkeypatch.setattr(retarget, "retarget_file", lambda path, **_: (read.append(path.name), plain(path))[1])
+    plain = on_rig.retarget_file
+    monkeypatch.setattr(on_rig, "retarget_file", lambda path, **_: (read.append(path.name), plain(path))[1])
     poses = [{"time": 0.5 + 0.2 * n, "pose": {"file": f"{'ab'[n % 2]}.bvh"}} for n in range(6)]
     keys = read_keys(write(tmp_path, *poses), tiny_model)
     assert sorted(read) == ["a.bvh", "b.bvh"]

@@ -96,6 +96,19 @@ def test_other_rigs_and_units_go_on_the_first_one(other: str) -> None:
     assert not np.isnan(motion_kinematics(made)[1]).any()
 
 
+@pytest.mark.parametrize("at", [None, [(2.0, 0.5)]])
+def test_a_clip_that_is_no_human_is_joined_by_the_joints_of_the_rig(
+    monkeypatch: pytest.MonkeyPatch, at: list[tuple[float, float]] | None
+) -> None:
+    """As a clip of a human rig may be whose feet point backwards at its rate."""
+    read = Upright.canonical.func  # type: ignore[attr-defined]
+    monkeypatch.setattr(
+        Upright, "canonical", property(lambda self: read(self) if len(self.motion) > 100 else None)
+    )
+    joined = join_motions([make_walk(150), make_walk(90)], at=at)
+    assert joined.motion.skeleton.names == JOINT_NAMES and not np.isnan(places(joined.motion)).any()
+
+
 @pytest.mark.parametrize("rig", [with_ground_root, lambda motion: renamed(motion, FAMILIES["mixamo"])])
 def test_the_joint_that_is_furthest_apart_has_the_same_name_on_every_rig(rig) -> None:
     clips = make_walk(150), make_walk(150, phase=1.0)

@@ -320,3 +320,41 @@ def test_loops_on_a_rig_are_closed(motionkit, tmp_path: Path, kind: str) -> None
     assert written.speed <= written.frame_speed
     again = make_loop(read_motion(tmp_path / "a.bvh"))
     assert again.end - again.start == made["frames"] - 1 and again.times == 1
+
+
+def test_a_loop_begins_with_its_clip_on_the_rig(motionkit, tmp_path: Path) -> None:
+    """Joints that motionkit does not know move as in the clip, from its beginning, in a closed cycle."""
+    rig = motionkit("synthesize", "--types", "walking:2", "--rig", "@mixamo", "-o", "clip.bvh")
+    assert rig.code == 0
+    clip = read_motion(tmp_path / "clip.bvh")
+    finger = next(i for i, name in enumerate(clip.skeleton.names) if name.endswith("RightHandIndex1"))
+    turns = clip.local_rotations.copy()
+    angles = 0.5 * np.sin(np.arange(len(clip)) / 9.0)
+    turns[:, finger] = np.stack([np.cos(angles), np.sin(angles), 0 * angles, 0 * angles], axis=-1)
+    write_motion(tmp_path / "clip.bvh", replace(clip, local_rotations=turns))
+    words = (
+        "synthesize",
+        "--types",
+        "walking",
+        "--loop",
+        "--rig",
+        "clip.bvh",
+        "--from",
+        "clip.bvh",
+        "-o",
+        "a.bvh",
+    )
+    for more in ((), ("--no-ik",)):
+        assert motionkit(*words, "--replace", *more).code == 0
+        made = read_motion(tmp_path / "a.bvh").local_rotations[:, finger]
+        fade = 16  # frames in which velocities of both ends meet, and its end leads back to the first frame
+        apart = np.rad2deg(quat_angle(made, turns[np.minimum(np.arange(len(made)), len(turns) - 1), finger]))
+        assert apart[fade:-fade].max() < 0.2 and apart[:fade].max() < 10.0
+        assert np.rad2deg(quat_angle(made[-1], made[0])) < 0.1
+        assert np.rad2deg(quat_angle(made[1:], made[:-1])).max() < 20.0
+
+
+def test_the_seam_is_that_of_the_cycle_after_a_frame_at_rest(motionkit) -> None:
+    said = motionkit("synthesize", "--types", "walking", "--loop", "--rest-frame", "--json", "-o", "a.bvh")
+    (made,) = json.loads(said.out)["motions"]
+    assert made["seam_cm"] < 0.1 and made["frame_cm"] < 15.0

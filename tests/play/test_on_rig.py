@@ -134,6 +134,8 @@ def test_without_a_rig_frames_are_as_ever(serve: Callable[..., Any], tcp: Callab
 def test_a_recording_of_the_body_is_on_the_rig(tiny_model: MotionModel, rig: Rig, tmp_path: Path) -> None:
     session = Session(with_rig(tiny_model, rig), rig.name)
     session.join(1)
+    session.obey(1, parse_request('{"do": "add"}'))
+    assert {one.body for one in session.characters.values()} == {rig.name}
     session.obey(1, parse_request('{"do": "record", "on": true}'))
     for _ in range(30):
         session.step()

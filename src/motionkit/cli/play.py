@@ -150,11 +150,14 @@ def command(
     from motionkit.cli.main import print_stopped
     from motionkit.models.bundled import open_model
     from motionkit.play.on_rig import with_rig, with_soles
+    from motionkit.play.requests import MAX_NAME
     from motionkit.play.server import PlayServer, ServerOptions
     from motionkit.play.session import Session
 
     model = with_soles(open_model(model_path, reference))
     if choice.rig is not None:
+        if len(choice.rig.name) > MAX_NAME:
+            raise click.UsageError(f"--rig: expected a file name of at most {MAX_NAME} characters; rename it")
         model = with_rig(model, choice.rig)
         character = character or choice.rig.name
     session = Session(model, character or "default")

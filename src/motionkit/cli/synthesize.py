@@ -88,6 +88,7 @@ def command(
         _list(making.model_path, output_options.as_json)
         return
     _check(types, count, loops, keys_file, making, output_options)
+    from motionkit.control.keys import key_files
     from motionkit.editing.loop import loop_seconds
     from motionkit.requests import loop_wish, synthesis_request
 
@@ -96,7 +97,8 @@ def command(
     request = synthesis_request(types, seconds=length, count=count, keys=keys_file or (), **making.words())
     if loops and any(len(plan) > 1 for plan in request.plans):
         raise click.UsageError("--loop takes one motion type, such as --types walking --loop")
-    outputs = output_options.files(request.name, (*making.inputs, keys_file), request.options.count)
+    inputs = (*making.inputs, *((keys_file, *key_files(keys_file)) if keys_file else ()))
+    outputs = output_options.files(request.name, inputs, request.options.count)
     announce(request.frames / request.model.fps, request.model.fps, request.options)
     with Stages() as show:
         progress = show.count("synthesizing", None if loops else request.frames)
@@ -160,7 +162,8 @@ def _write(
         views.append(MotionView(file.stem, put, parts, character=making.choice.character))
         facts = {"file": file, "frames": len(put), "fps": one.motion.fps, "types": parts}
         facts |= {"metrics": motion_metrics(measured, making.choice.rig)}
-        seam = motion_seam(put) if cycles else None
+        cycle = put.cut(1, len(put)) if making.choice.root_motion.rest_frame else put
+        seam = motion_seam(cycle) if cycles else None
         if seam:
             facts |= seam.as_dict()
         if request.options.keys:

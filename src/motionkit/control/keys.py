@@ -129,6 +129,12 @@ def read_keys(path: str | Path, model: MotionModel, start: Array | None = ORIGIN
         return check_keys(keys, start)
 
 
+def key_files(path: str | Path) -> tuple[Path, ...]:
+    """The clips that a valid JSON file with keys names."""
+    entries = read_json(path, "a JSON file with keys", ControlError)["keys"]
+    return tuple(Path(path).parent / name for name in sorted(set(map(_file_of, entries)) - {""}))
+
+
 def check_keys(keys: Sequence[Key], start: Array | None = ORIGIN) -> tuple[Key, ...]:
     """Return the keys in order of time; raises ControlError if they contradict each other.
 
@@ -171,8 +177,6 @@ def _key(where: str, entry: Any, files: _Files) -> Key:
         raise ControlError(f"{where}: unknown field {unknown[0]!r}, expected {', '.join(_FIELDS)}")
     if "time" not in entry:
         raise ControlError(f"{where}: expected its time in seconds, found none")
-    if len(entry) < 2:
-        raise ControlError(f"{where}: nothing to meet; give pose, position, facing or joints")
     seconds = _numbers(where, "time", [entry.get("time")], 1, EARLIEST, 3600.0)[0]
     position, facing = entry.get("position"), entry.get("facing")
     joints = entry.get("joints", {})
@@ -193,7 +197,11 @@ def _key(where: str, entry: Any, files: _Files) -> Key:
             raise ControlError(
                 f"{where}: {JOINT_NAMES[joint]} at a height of {place[1] / METRE:g} m is out of reach"
             )
-    return replace(key, pose=_pose(where, entry["pose"], files)) if "pose" in entry else key
+    if "pose" in entry:
+        return replace(key, pose=_pose(where, entry["pose"], files))
+    if key.position is None and key.facing is None and not key.joints:
+        raise ControlError(f"{where}: nothing to meet; give pose, position, facing or joints")
+    return key
 
 
 def _file_of(entry: Any) -> str:
@@ -252,10 +260,10 @@ class _Files:
         return clip_pose(self.model, motion, frame, encoded)[0]
 
     def _open(self, name: str, animation: str | None) -> tuple[Motion, EncodedMotion]:
-        from motionkit.rig.retarget import retarget_file
+        from motionkit.rig.on_rig import file_on_floor
 
         try:
-            clip, _ = retarget_file(self.folder / name, clip=animation)
+            clip = file_on_floor(self.folder / name, animation)
         except BvhError as error:
             if error.line is None:
                 raise

@@ -190,6 +190,8 @@ def _on_one_rig(motions: Sequence[Motion], rig: Rig | None, names: Sequence[str]
             rig = rig or _rig_of(motions[0], names)
             mine = _retargeted(motion, rig, target.scale, target.up, name)
         out.append(_level(mine, target))
+    if any(each.canonical is None for each in out):  # then all are compared by the joints of the rig
+        out = [replace(each, as_human=False) for each in out]
     moving = any(each.motion.local_positions is not None for each in out)
     return [replace(each, motion=_with_places(each.motion)) for each in out] if moving else out
 
@@ -318,11 +320,11 @@ def _with_locked_feet(motion: Motion, contacts: Array, frames: Sequence[int], de
     """The motion with feet locked that are in contact while the difference at a join decays.
 
     Args:
-        contacts: (T, 4) as recorded.
+        contacts: (T, 4) as recorded, or (T, 0) where a clip is not read as a human.
         frames: the first frames after the joins.
         decay: frames over which the differences decay.
     """
-    canonical = Upright(motion).canonical
+    canonical = Upright(motion).canonical if contacts.size else None
     if canonical is None:
         return motion
     up = np.array([0.0, floor_shift(canonical)[0], 0.0], np.float32)

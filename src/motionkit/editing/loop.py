@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionkit.arrays import Array, distances_between
+from motionkit.arrays import Array, distances_between, lerp, smoothstep
 from motionkit.editing.root_motion import at_origin
 from motionkit.errors import MotionkitError
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.motion import Motion
+from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import (
     expmap_to_quat,
     quat_continuous,
@@ -25,6 +25,7 @@ from motionkit.motion.rotations import (
     quat_inverse,
     quat_multiply,
     quat_normalize,
+    quat_slerp,
     quat_to_expmap,
     rotate_ground,
     wrap_angle,
@@ -62,6 +63,7 @@ WISH_SHARE, WISH_SECONDS = 0.05, 0.1
 FADE_SECONDS = 0.25  # s, time on each side of the seam in which the difference of velocities fades
 STANDING_SPEED = 25.0  # cm/s; a slower cycle ends at the place where it began
 FAR_FROM_WISH = 0.1  # share of a requested length; a larger deviation is reported
+CYCLES = 3  # times that a cycle is repeated for a change, of which the second is kept
 LOOP_SECONDS = 8.0  # s, default length of the motion to search for a cycle
 LOOP_TRIES = (2, 4, 8)  # longer attempts, as multiples of that length, if nothing repeats
 
@@ -205,8 +207,26 @@ def find_loops(
 def changed_cycle(cycle: Motion, change: Callable[[Motion], Motion]) -> Motion:
     """A closed cycle from the origin after a change that looks at neighbouring frames, such as finishing on a rig."""
     steps = len(cycle) - 1
-    upright = Upright.of(change(_repeated(cycle, 3)))
+    upright = Upright.of(change(_repeated(cycle, CYCLES)))
     return upright.back(at_origin(_closed(upright, steps, 2 * steps), cyclic=True))
+
+
+def in_rounds(clip: Motion, cycle: Motion) -> Motion:
+    """The beginning of a clip, as long as a closed cycle, at its rate, and as often as changed_cycle repeats the cycle.
+
+    Its end leads back to its first frame; the last frame of a shorter clip is held.
+    """
+    clip, frames = resample(clip, cycle.fps), len(cycle) - 1
+    rows = np.tile(np.minimum(np.arange(frames), len(clip) - 1), CYCLES)
+    fade = max(1, min(round(FADE_SECONDS * cycle.fps), frames // 2))
+    back = np.tile(smoothstep(np.maximum(np.arange(frames) - frames + fade, 0) / fade), CYCLES)[:, None]
+    turns, places = clip.local_rotations, clip.local_positions
+    return replace(
+        clip,
+        local_rotations=quat_slerp(turns[rows], turns[[0]], back),
+        root_positions=clip.root_positions[rows],
+        local_positions=None if places is None else lerp(places[rows], places[[0]], back[..., None]),
+    )
 
 
 def _away(steps: int, upright: Upright, seconds: float) -> float:

@@ -81,9 +81,9 @@ def clip_motion(model: MotionModel, path: str | Path | Motion) -> Motion:
 
     Raises MotionkitError if the file cannot be used.
     """
-    from motionkit.rig.retarget import retarget_file
+    from motionkit.rig.on_rig import file_on_floor
 
-    motion = resample(path if isinstance(path, Motion) else retarget_file(path)[0], model.fps)
+    motion = resample(path if isinstance(path, Motion) else file_on_floor(path), model.fps)
     if len(motion) < 2:
         name = "the start" if isinstance(path, Motion) else path
         raise ControlError(f"{name}: expected at least 2 frames to start from, found {len(motion)}")

@@ -144,7 +144,7 @@ REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
         "stops": (_stops, ()),
         **_SEQ,
     },
-    "add": {"body": (_name, "default")},
+    "add": {"body": (_or_null(_name), None)},
     "remove": {**_CHARACTER},
     "body": {**_CHARACTER, "body": (_name, _REQUIRED)},
     "reset": {**_CHARACTER},

@@ -22,7 +22,7 @@ from motionkit.rig.names import RigMap
 from motionkit.rig.pose import map_file
 from motionkit.rig.read_file import is_gltf, read_file
 from motionkit.rig.rest_pose import SIDES
-from motionkit.rig.retarget import RetargetReport, retarget
+from motionkit.rig.retarget import RetargetReport, retarget, retarget_file
 from motionkit.rig.rig import Rig, make_rig, top_joint
 from motionkit.rig.to_rig import rig_bvh
 
@@ -96,6 +96,14 @@ def canonical_on_floor(bvh: BvhFile, rig: Rig | None = None) -> tuple[Motion, Re
     """
     motion, report = retarget(bvh, rig=rig)
     return on_the_floor(motion), report
+
+
+def file_on_floor(path: str | Path, clip: str | None = None) -> Motion:
+    """The motion of a file of any human rig on the canonical joints, with standing toes on the floor.
+
+    Raises MotionkitError for a file that cannot be used; clip as for read_file.
+    """
+    return on_the_floor(retarget_file(path, clip=clip)[0])
 
 
 def on_the_floor(motion: Motion) -> Motion:

@@ -102,12 +102,14 @@ class Upright:
         scale: cm per unit of the original motion.
         up: (3,) up axis of the original motion.
         rig: skeleton of the original motion; None if unknown.
+        as_human: whether a human is measured on the canonical joints; otherwise as rigs that are not human.
     """
 
     motion: Motion
     scale: float = 1.0
     up: Array = field(default_factory=lambda: _Y_UP)
     rig: Skeleton | None = None
+    as_human: bool = True
 
     @staticmethod
     def of(motion: Motion) -> Upright:
@@ -130,6 +132,8 @@ class Upright:
         Where the rest pose of the rig stands on the floor, feet as high as there are as high as canonical ones.
         """
         motion = self.motion
+        if not self.as_human:
+            return None
         try:
             with AS_BROUGHT():
                 made = canonical_motion(motion, own_body=True, scale=1.0)
