@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.motion.rotations import quat_to_matrix
+from motionkit.motion.rotations import quat_multiply, quat_to_matrix
 from motionkit.motion.skeleton import JOINT_NAMES
 from rig.test_gltf_rig import VRM, character
 from synthetic_rigs import FAMILIES
@@ -86,6 +86,25 @@ def skinned(value: dict[str, Any], change: Callable[[dict[str, Any]], object] = 
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+# Half angles about x, y and z, by joint.
+POSE = {
+    "Hips": (0.1, 0.2, 0.0),
+    "LeftArm": (0.0, 0.0, 0.6),
+    "RightUpLeg": (0.4, 0.0, 0.0),
+    "LeftFoot": (0.3, 0.0, 0.2),
+}
+
+
+def posed(value: dict[str, Any]) -> None:
+    """Turn some joints and lower the hips, as of a character that was saved in the middle of a movement."""
+    for joint, half in POSE.items():
+        node = value["nodes"][JOINT_NAMES.index(joint) + 2]
+        turn = np.array([1.0, *half]) / np.linalg.norm([1.0, *half])
+        rest = np.roll(node.get("rotation", [0.0, 0.0, 0.0, 1.0]), 1)
+        node["rotation"] = np.roll(quat_multiply(rest, turn), -1).tolist()
+    value["nodes"][2]["translation"][1] -= 9.0
 
 
 def avatar(version: str) -> dict[str, Any]:

@@ -213,6 +213,14 @@ def test_all_recordings_are_played_before_one_is_again(tiny_model: MotionModel) 
     assert len(set(entered)) > 1, "each choice has an order of its own"
 
 
+def test_the_first_choice_begins_with_the_most_typical_clip(tiny_model: MotionModel) -> None:
+    for kind, known in tiny_model.types.items():
+        player = ReferencePlayer(tiny_model, choice=0)
+        player.begin(kind)
+        entered = [clip for clip, _ in player.recordings.entry_frames(kind, known.reference_clips)]
+        assert player.clip is (known.reference_clips[0] if tiny_model.kind(kind).phased else entered[0]), kind
+
+
 def test_successive_choices_draw_evenly() -> None:
     for number in (1, 2, 3):
         some = [drawn_evenly([7] * 30, choice, number) for choice in range(992, 1012)]

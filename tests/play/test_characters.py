@@ -22,7 +22,7 @@ from motionkit.rig.rig import Rig
 from play.test_demo import address, folder, visit  # noqa: F401
 from rig.test_character import parts
 from rig.test_gltf_rig import character, two_below_one
-from synthetic_characters import CHARACTERS, skinned, toon
+from synthetic_characters import CHARACTERS, posed, skinned, toon
 from view.conftest import drawn
 
 pytestmark = pytest.mark.thorough
@@ -79,6 +79,20 @@ def test_the_demo_maps_a_character_as_python_does(page: Page, tmp_path: Path, ke
         axes = [np.array([data["axis"], *(share[2:] for share in data["shares"])]) for data in (one, other)]
         assert np.allclose(*axes, atol=1e-5)
         assert [s[:2] for s in one["shares"]] == [pytest.approx(s[:2], abs=1e-5) for s in other["shares"]]
+
+
+def test_the_demo_moves_a_posed_character_from_its_bind_pose(page: Page, tmp_path: Path) -> None:
+    found = []
+    for name, change in (("rest.glb", id), ("posed.glb", posed)):
+        data = skinned(character(), change)
+        assert "stays on this machine" in give(page, name, data)
+        found.append(page.evaluate(DATA, name))
+    (tmp_path / "posed.glb").write_bytes(data)
+    wanted = LiveRig(read_rig(tmp_path / "posed.glb")).page_character()
+    for one in (found[0], wanted):
+        turns, others = (np.array([drive[2:] for drive in each["drives"]]) for each in (found[1], one))
+        assert np.abs((turns * others).sum(-1)).min() > 1.0 - 1e-6
+        assert found[1]["lift"] == pytest.approx(one["lift"], abs=2e-5)
 
 
 def renamed(value: dict[str, Any]) -> None:

@@ -12,23 +12,15 @@ from motionkit.export.clip import rig_clip
 from motionkit.export.formats import read_clip, write_motion
 from motionkit.finish.on_rig import on_rig
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.rotations import quat_multiply
 from motionkit.rig.character import Character, read_character
 from motionkit.rig.on_rig import read_rig
 from rig.test_character import worlds
 from rig.test_read_glb import TURNS, Maker, plain
+from synthetic_characters import posed
 from synthetic_motions import make_walk
 
-# Half angles about x, y and z, by joint.
-POSE = {
-    "Hips": (0.1, 0.2, 0.0),
-    "LeftArm": (0.0, 0.0, 0.6),
-    "RightUpLeg": (0.4, 0.0, 0.0),
-    "LeftFoot": (0.3, 0.0, 0.2),
-}
 
-
-def saved(folder: Path, name: str, space: Array, posed: bool) -> Character:
+def saved(folder: Path, name: str, space: Array, in_pose: bool) -> Character:
     """A character with a skin that is bound where it stands, in a space of the mesh; and posed afterwards."""
     maker = Maker()
     tree = read_character(maker.write(folder / "unbound.glb")).tree
@@ -36,22 +28,17 @@ def saved(folder: Path, name: str, space: Array, posed: bool) -> Character:
     binds = np.stack([np.linalg.inv(tree.world[joint]) @ space for joint in skin["joints"]])
     columns = binds.swapaxes(1, 2).astype("<f4")
     skin["inverseBindMatrices"] = maker.accessor(len(binds), "MAT4", bufferView=maker.view(columns.tobytes()))
-    for joint, half in POSE.items() if posed else ():
-        node = maker.value["nodes"][maker.node(joint)]
-        turn = np.array([1.0, *half]) / np.linalg.norm([1.0, *half])
-        rest = np.roll(node.get("rotation", [0.0, 0.0, 0.0, 1.0]), 1)
-        node["rotation"] = np.roll(quat_multiply(rest, turn), -1).tolist()
-    if posed:
-        maker.value["nodes"][maker.node("Hips")]["translation"][1] -= 9.0
+    if in_pose:
+        posed(maker.value)
     maker.clip("turn", plain(maker))
     return read_character(maker.write(folder / name))
 
 
 @pytest.mark.parametrize("space", [np.eye(4), np.diag([0.01, 0.01, 0.01, 1.0])], ids=["scene", "armature"])
 def test_a_posed_character_moves_as_if_it_were_at_rest(tmp_path: Path, space: Array) -> None:
-    rest, posed = (saved(tmp_path, f"{name}.glb", space, name == "posed") for name in ("rest", "posed"))
-    assert posed.posed and not rest.posed
-    assert np.abs(posed.skeleton.offsets - rest.skeleton.offsets).max() < 1e-5
+    rest, other = (saved(tmp_path, f"{name}.glb", space, name == "posed") for name in ("rest", "posed"))
+    assert other.posed and not rest.posed
+    assert np.abs(other.skeleton.offsets - rest.skeleton.offsets).max() < 1e-5
     for name in ("rest", "posed"):
         rig = read_rig(tmp_path / f"{name}.glb")
         write_motion(tmp_path / f"{name}-walk.glb", rig_clip(on_rig(make_walk(60), rig), rig, "walk"))
@@ -63,7 +50,7 @@ def test_a_posed_character_moves_as_if_it_were_at_rest(tmp_path: Path, space: Ar
 
 
 def test_joints_without_keys_stay_in_the_pose_of_the_file(tmp_path: Path) -> None:
-    character = saved(tmp_path, "posed.glb", np.eye(4), posed=True)
+    character = saved(tmp_path, "posed.glb", np.eye(4), in_pose=True)
     motion = read_clip(tmp_path / "posed.glb", "turn").motion
     shown, places = worlds(tmp_path / "posed.glb"), motion_kinematics(motion)[1] / 100.0
     assert len(motion) == len(TURNS)
@@ -72,4 +59,4 @@ def test_joints_without_keys_stay_in_the_pose_of_the_file(tmp_path: Path) -> Non
 
 
 def test_matrices_that_cannot_be_inverted_are_no_pose(tmp_path: Path) -> None:
-    assert not saved(tmp_path, "flat.glb", np.diag([1.0, 1.0, 0.0, 1.0]), posed=True).posed
+    assert not saved(tmp_path, "flat.glb", np.diag([1.0, 1.0, 0.0, 1.0]), in_pose=True).posed
