@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model_changes import with_clips
-from motionkit.control.drive import Driver, Wish
+from motionkit.control.drive import Driver, Wish, together
 from motionkit.control.follow import follow_path
 from motionkit.control.memory import FIRST_STEPS, FirstSteps
 from motionkit.control.path import PathPart, make_path
@@ -16,6 +16,7 @@ from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterStream
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
+from motionkit.motion.floor import TOES
 
 HIPS = 0
 AT_ORIGIN = np.zeros((1, 3), np.float32)
@@ -92,3 +93,22 @@ def test_a_live_body_that_begins_to_walk_does_not_drop() -> None:
         driver.set_wish(Wish((0.0, 130.0 if frame >= 90 else 0.0)))
         heights.append(float(stream.step(driver(frame, stream.ground)).positions[0, HIPS, 1]))
     assert min(heights[90:200]) > min(heights[200:]) - 3.0
+
+
+def test_the_foot_that_bears_the_body_stays_down() -> None:
+    """A recording entered in the middle of a step lifted it by up to 7 cm in a quarter of the starts."""
+    model, speeds, choices = load_bundled_model(), (80.0, 120.0, 160.0), (0, 1, 2, 5)
+    wishes = [(choice, speed) for choice in choices for speed in speeds]
+    stream, drivers = CharacterStream(model, len(wishes), seed=40), []
+    for choice, speed in wishes:
+        drivers.append(Driver(model, choice=choice))
+        drivers[-1].set_wish(Wish((0.0, speed)))
+    toes, touching = [], []
+    for frame in range(90):
+        ground = stream.ground
+        shown = stream.step(together([d(frame, ground[i : i + 1]) for i, d in enumerate(drivers)]))
+        toes.append(shown.positions[:, list(TOES), 1])
+        touching.append(shown.contacts[:, 1::2] > 0.9)
+    above = np.array(toes) - np.quantile(toes, 0.05, axis=(0, 2))[:, None]
+    lifts = np.where(touching, above, 0.0).max(axis=(0, 2))
+    assert lifts.max() < 4.0, lifts.round(1).tolist()

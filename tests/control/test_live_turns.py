@@ -42,9 +42,9 @@ def highest(kind: str, angle: float) -> float:
     return float(np.max(found))
 
 
-# Largest rise in cm above the gait's own. Measured over 60 turns of each kind: 1.8 at 45 degrees, 4.5 at 90 and 6.1 at
+# Largest rise in cm above the gait's own. Measured over 60 turns of each kind: 1.4 at 45 degrees, 4.1 at 90 and 7.4 at
 # 180; other processors turn at other phases, since a closed loop carries their last digits on.
-@pytest.mark.parametrize(("degrees", "most"), [(45.0, 3.5), (90.0, 6.0), (180.0, 8.0)])
+@pytest.mark.parametrize(("degrees", "most"), [(45.0, 3.5), (90.0, 6.0), (180.0, 9.0)])
 @pytest.mark.parametrize("kind", ["walking", "running"])
 def test_one_foot_bears_weight_in_turns(kind: str, degrees: float, most: float) -> None:
     assert highest(kind, math.radians(degrees)) - highest(kind, 0.0) < most

@@ -308,14 +308,20 @@ def sliding(feet: Array, touching: Array) -> float:
 
 
 def test_feet_of_another_body_hold_and_stand_on_the_floor(tmp_path: Path) -> None:
-    rig, source = rig_of(stocky(), tmp_path), mk.synthesize("walking:4", seed=3).motion
+    rig = rig_of(stocky(), tmp_path)
     toes = [JOINT_NAMES.index(name) for name in ("LeftToeBase", "RightToeBase")]
-    places = motion_kinematics(source)[1]
-    touching = foot_contacts(places, source.fps)[:, [1, 3]]
-    assert touching.sum() > 50
-    raw, held = (motion_kinematics(on_rig(source, rig, ik))[1][:, toes] * rig.scale for ik in (False, True))
-    assert sliding(raw, touching) > 2.0 * sliding(places[:, toes], touching)
-    assert sliding(held, touching) <= sliding(places[:, toes], touching) + 0.002  # cm a frame
+    slides = []
+    for seed in (3, 4, 5):
+        source = mk.synthesize("walking:4", seed=seed).motion
+        places = motion_kinematics(source)[1][:, toes]
+        touching = foot_contacts(motion_kinematics(source)[1], source.fps)[:, [1, 3]]
+        assert touching.sum() > 50
+        raw, held = (
+            motion_kinematics(on_rig(source, rig, ik))[1][:, toes] * rig.scale for ik in (False, True)
+        )
+        slides.append([sliding(feet, touching) for feet in (places, raw, held)])
+    own, raw_slide, held_slide = np.mean(slides, axis=0)
+    assert raw_slide > 2.0 * own and held_slide <= own + 0.002  # cm a frame
     heights = held[..., 1][touching > 0.5]
     assert rig.stance == pytest.approx(3.0 * rig.scale, abs=0.01)
     assert abs(float(np.quantile(heights, 0.25)) - rig.stance) < 0.1

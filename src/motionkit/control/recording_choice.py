@@ -18,6 +18,7 @@ from motionkit.features.layout import feature_layout
 from motionkit.features.reference import BEFORE_EVENT, event_begins
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind, MotionType, ReferenceClip
+from motionkit.motion.floor import TOES
 from motionkit.motion.skeleton import FOOT_JOINTS
 
 # Clips, each with its possible entry frames.
@@ -57,6 +58,8 @@ class GaitSettings:
         clips: clips of which the frame most like the present pose is entered, since one may have no such stride.
         before: frames before an entry, because a pose alone does not show how the legs swing.
         ahead: frames before the last pose is held at which a clip is left: references look ahead.
+        strikes: frames to both sides within which feet are nowhere further apart than at a heel strike.
+        lifts: frames after it at which the rear foot begins its step; then the body drops least.
     """
 
     seconds: float = 0.75
@@ -65,6 +68,8 @@ class GaitSettings:
     clips: int = 12
     before: int = 5
     ahead: int = 15
+    strikes: int = 12
+    lifts: int = 10
 
 
 @dataclass(frozen=True)
@@ -162,7 +167,7 @@ class RecordingChoice:
 
         Args:
             rests: with a trajectory, also match frames with little movement after them.
-            few: use few recordings of each type (few_clips).
+            few: use few recordings of each type (few_clips), and enter those of gaits where a step begins.
         """
         self.model, self.choice, self.rests, self.few = model, choice, rests, few
         self.random = random.Random(choice)
@@ -223,7 +228,7 @@ class RecordingChoice:
             return self._drawn(found, count, near)
         if within:
             return self._strides(self._at_pace(kind, found), near)
-        clip, at = self._drawn(found, count, near)
+        clip, at = self._drawn(self._stepping_off(found) if self.few else found, count, near)
         gait = self._gait_clip(kind, clip)
         self.pace = float(gait.speeds[at : max(int(gait.brakes[at]), at + 1)].mean())
         return clip, at
@@ -362,6 +367,22 @@ class RecordingChoice:
             drawn.append((float(costs.min()), clip, frames[int(costs.argmin())]))
         _, clip, at = min(drawn, key=lambda each: each[0])
         return clip, at
+
+    def _stepping_off(self, found: Entries) -> Entries:
+        """Keep the entry frames at which the rear foot begins its step, as a standing body does.
+
+        Elsewhere the recording is in the middle of a step, and the standing body lifts the foot it stands on.
+        """
+        layout = feature_layout(self.model.config.layout)
+        ahead = layout.block_columns("joint_positions", TOES)[2::3]
+        feet = self.model.pose_embedding.columns(ahead) @ [1.0, -1.0]
+        kept = []
+        for clip, frames in found:
+            apart = np.pad(np.abs(clip.poses[: len(clip)] @ feet), GAIT.strikes, mode="edge")
+            widest = sliding_window_view(apart, 2 * GAIT.strikes + 1).max(axis=-1)
+            strikes = np.flatnonzero(apart[GAIT.strikes : -GAIT.strikes] >= widest)
+            kept.append((clip, sorted(set((strikes + GAIT.lifts).tolist()) & set(frames))))
+        return [each for each in kept if each[1]] or found
 
     def _as_fast(self, kind: str, found: Entries, speed: float | None) -> Entries:
         """Keep the entry frames of strikes or jumps at about the speed (cm/s) of the body.
