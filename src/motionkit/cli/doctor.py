@@ -65,7 +65,7 @@ def command(data: tuple[Path, ...], labels: Path | None, verbose: bool, jobs: in
     if not found.clips and not found.labels:
         raise MotionkitError("there is no motion to look at; `motionkit retarget --rig FILE` looks at a rig")
     if not found.clips:
-        raise MotionkitError(f"{found.labels}: lists none of the {len(found.skipped)} files")
+        raise MotionkitError(f"{found.labels}: lists none of the files that were found")
     if faults:
         raise MotionkitError(f"{len(faults)} of {len(found.clips)} files cannot be used")
 
