@@ -72,9 +72,7 @@ def test_files_that_are_not_labelled_are_no_fault(motionkit, clips_folder: Path,
     )
     (folder / "labels.csv").write_text("file,start_frame,end_frame,type\nc.bvh,0,-1,walk\n")
     said = motionkit("doctor", folder)
-    assert (
-        said.code == 1 and "lists none of the files" in said.err and "nothing looks wrong" not in said.out
-    )
+    assert said.code == 1 and "lists none of the files" in said.err and "nothing looks wrong" not in said.out
     assert "skipped c.bvh: in labels.csv, but there is no such file" in said.out
 
 
