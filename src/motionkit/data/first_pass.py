@@ -209,8 +209,9 @@ def _runs(segments: Sequence[Segment], found: Reading) -> tuple[Run, ...]:
     for segment in segments:
         for start, end in cut_at_leaps(*found.place(segment), found.leaps):
             before = runs[-1] if runs else None
-            apart = before is None or before.end < start - 1 or start in found.leaps
-            if before and not apart and before[3:] == (segment.split, segment.subject):
+            whose = (segment.split, segment.subject)
+            goes_on = before and before.end >= start - 1 and start not in found.leaps
+            if before and goes_on and (before.split, before.subject) == whose:
                 spans = (*before.spans, (before.end, end, segment.type))
                 runs[-1] = before._replace(end=end, spans=spans)
             else:

@@ -22,7 +22,7 @@ from motionkit.motion.rotations import quat_inverse, quat_rotate
 from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.character import Character
 from motionkit.rig.gltf import INDICES, VERTICES, GltfDocument
-from motionkit.rig.read_glb import clip_lengths, unused_name
+from motionkit.rig.read_glb import clip_names, unused_name
 
 
 def write_glb(path: str | Path, clip: Clip) -> None:
@@ -66,7 +66,7 @@ def _write_into(path: str | Path, clip: Clip, character: Character) -> None:
             why = f"has another rest pose than {file.path}, which keeps its own; --rest is for other formats"
         raise MotionkitError(f"{path}: not written: the motion {why}")
     document = file.addition()
-    used = [] if clip.alone else [name for name, _ in clip_lengths(file)]
+    used = [] if clip.alone else clip_names(file)
     name = unused_name(clip.name, used)
     tracks = character.tracks(clip.motion)
     add_tracks(document, replace(clip, name=name), tracks)

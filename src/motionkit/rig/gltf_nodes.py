@@ -109,7 +109,7 @@ class GltfNodes:
             return {}
         inverse = np.linalg.inv(binds[: len(joints)].astype(np.float64))
         spaces = np.stack([self.world[joint] for joint in joints]) @ np.linalg.inv(inverse)
-        top = min(range(len(joints)), key=lambda i: self.order.index(joints[i]))
+        top = joints.index(next(node for node in self.order if node in joints))
         reach = float(np.ptp(inverse[:, :3, 3], axis=0).max())
         apart = [_apart(spaces[top], space) for space in spaces]
         if max(turn for turn, _ in apart) < POSED[0] and max(away for _, away in apart) < POSED[1] * reach:

@@ -95,17 +95,24 @@ def motion_of(character: Character, clip: str | None = None) -> tuple[str, Motio
 
 
 def clip_lengths(file: GltfFile) -> list[tuple[str, float]]:
-    """Names and seconds of the animations of a file; an animation without a name is called by its number, from 1.
+    """Names and seconds of the animations of a file."""
+    ends = [
+        max([0.0, *(_last_key(file, sampler) for sampler in _objects(file, animation, "samplers"))])
+        for animation in file.items("animations")
+    ]
+    return list(zip(clip_names(file), ends, strict=True))
+
+
+def clip_names(file: GltfFile) -> list[str]:
+    """Names of the animations of a file; one without a name is called by its number, from 1.
 
     The second of one name is called NAME_2, as when one is added to a file.
     """
-    out: dict[str, float] = {}
-    for number, animation in enumerate(file.items("animations")):
-        name, ends = animation.get("name"), [0.0]
-        for sampler in _objects(file, animation, "samplers"):
-            ends.append(_last_key(file, sampler))
-        out[unused_name(name if isinstance(name, str) and name.strip() else str(number + 1), out)] = max(ends)
-    return list(out.items())
+    out: list[str] = []
+    for number, animation in enumerate(file.items("animations"), 1):
+        name = animation.get("name")
+        out.append(unused_name(name if isinstance(name, str) and name.strip() else str(number), out))
+    return out
 
 
 def unused_name(name: str, used: Collection[str]) -> str:

@@ -146,7 +146,8 @@ def _long(clips: list[Clip]) -> list[Clip]:
 
 def _images(dataset: Dataset, clips: list[Clip]) -> list[Clip]:
     """The mirror images of clips, except where the data lacks the type of the other side: they would have no label."""
-    return [dataset.image(clip) for clip in clips if dataset.image_known[dataset.clip_types(clip)].all()]
+    known = dataset.image_known
+    return [dataset.image(clip) for clip in clips if known[dataset.clip_types(clip)].all()]
 
 
 def _with_mirrors(dataset: Dataset, train: list[Clip], test: list[Clip], types: set[str]) -> list[Clip]:
