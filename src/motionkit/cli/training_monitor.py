@@ -56,9 +56,7 @@ class TrainingMonitor:
         self.first_process = os.environ.get("RANK", "0") == "0"
         self.console = stderr_console()
         self.live: Live | None = None
-        self.began: tuple[int, float] | None = (
-            None  # step and seconds of the first event; not zero in a resumed run
-        )
+        self.began: TrainEvent | None = None  # the first step; not the run's first in a resumed run
         self.last_stage = "", -1  # stage and quarter of the last line about a stage
         self.stopping = ""
 
@@ -95,7 +93,7 @@ class TrainingMonitor:
             if self.losses:
                 self.console.print(score_table(event))
         elif event.kind in ("step", "log"):
-            self.began = self.began or (event.step, event.seconds)
+            self.began = self.began or event
             if self.live is not None:
                 self.live.update(self._status(event))
             elif event.kind == "log":
@@ -118,14 +116,15 @@ class TrainingMonitor:
             self.console.print(f"{name}: {percent} %")
 
     def _progress_text(self, event: TrainEvent) -> str:
-        """Steps done, speed and remaining time."""
+        """Steps done, and the speed since this process began and what it leaves of time."""
         total = f" of {self.steps}" if self.steps else ""
-        step, seconds = self.began or (0, 0.0)
-        left = event.seconds * (1.0 - event.share) / max(event.share, 1e-6)
         done = f"step {event.step}{total}, {event.share:.0%}"
-        if event.seconds <= seconds:  # too early to measure the speed
+        began = self.began
+        if began is None or event.seconds <= began.seconds or event.share <= began.share:  # too early to measure
             return done
-        rate = (event.step - step) / (event.seconds - seconds)
+        seconds = event.seconds - began.seconds
+        left = seconds * (1.0 - event.share) / (event.share - began.share)
+        rate = (event.step - began.step) / seconds
         speed = f"{rate:.2f} steps/s" if rate < 10 else f"{rate:.0f} steps/s"
         return f"{done}, {speed}, {duration(left)} left"
 
