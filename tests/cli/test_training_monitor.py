@@ -46,7 +46,9 @@ def test_the_first_line_has_no_rate_and_losses_can_be_left_out(capsys, tmp_path:
     ]  # fmt: skip
 
 
-def test_the_rate_of_a_resumed_run_and_what_is_left_are_those_since_it_went_on(capsys, tmp_path: Path) -> None:
+def test_the_rate_of_a_resumed_run_and_what_is_left_are_those_since_it_went_on(
+    capsys, tmp_path: Path
+) -> None:
     monitor = TrainingMonitor(False, train_options("tiny", steps=2000), None, tmp_path)
     monitor(replace(STEP, step=1000, seconds=9000.0, share=0.5))
     monitor(replace(STEP, kind="log", step=1040, seconds=9020.0, share=0.52))

@@ -43,6 +43,19 @@ def test_jumps_that_follow_at_once_are_one_leap(apart: int, count: int) -> None:
     assert len(leap_frames(track)) == count and SAME_LEAP == 3
 
 
+def test_trembling_leaps_again_and_again() -> None:
+    track = np.zeros((120, 3))
+    track[::2, 0] = 10.0
+    assert len(leap_frames(track)) == 30
+
+
+def test_a_low_rate_has_no_leaps_to_count() -> None:
+    positions = motion_kinematics(make_walk(60))[1]
+    with pytest.raises(MotionkitError, match="a file at 30 fps lacks"):
+        leaps(positions, 30.0)
+    assert leaps(positions, 120.0).value == 0.0
+
+
 def test_leaps_are_counted_a_minute_over_knees_and_elbows() -> None:
     positions = motion_kinematics(make_walk(180))[1]
     assert leaps(positions).value == 0.0

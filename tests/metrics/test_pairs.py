@@ -75,7 +75,9 @@ def test_pairs_by_option_and_the_tables(metrics) -> None:
     code, out, err = metrics(*words)
     assert code == 0 and err == "" and "means of 2 pairs" in out
     assert all(word in out for word in ("b.bvh", "a.BVH", "mpjpe", "lowest", "ssim-channel", "path-coverage"))
-    assert max(map(len, out.splitlines())) <= 80
+    tables, notes = out.split("note: ", 1)
+    assert max(map(len, tables.splitlines())) <= 80
+    assert notes.startswith("b.bvh: ground truth has 40 frames, generated 50")
 
 
 def test_a_folder_alone(metrics) -> None:
@@ -114,8 +116,8 @@ def test_a_pair_that_cannot_be_measured_is_left_out_and_named(metrics, folders: 
     assert ["error" in pair for pair in json.loads(out)["pairs"]] == [True, True, False]
 
 
-def test_both_means_are_of_the_same_pairs() -> None:
-    """A pair of which one side has no flight tells nothing of the other side's."""
+def test_both_means_are_of_the_same_pairs_and_extremes_of_all() -> None:
+    """A pair of which one side has no flight tells nothing of the other side's, but may hover itself."""
 
     def result(made: float | None, recorded: float | None) -> PairResult:
         flight = MetricRow(MetricValue("flight", made, ""), MetricValue("flight", recorded, ""))
@@ -123,8 +125,18 @@ def test_both_means_are_of_the_same_pairs() -> None:
         return PairResult(Path("a"), Path("b"), MetricReport((flight, mpjpe), 10))
 
     flight, mpjpe = mean_rows([result(1.0, 2.0), result(None, 8.0), result(4.0, None), result(3.0, 6.0)])
-    assert (flight.value, flight.ground_truth, flight.count) == (2.0, 4.0, 2)
+    assert (flight.value, flight.ground_truth, flight.count) == (2.0, 4.0, 3)
+    assert (flight.lowest, flight.highest) == (1.0, 4.0)
     assert (mpjpe.value, mpjpe.ground_truth, mpjpe.count) == (2.0, None, 4)
+
+
+def test_jerk_at_different_rates_has_no_mean() -> None:
+    reports = [
+        MetricReport((MetricRow(MetricValue("jerk", value, "m/s^3", {"fps": rate})),), 10)
+        for value, rate in ((215.0, 30.0), (894.0, 60.0))
+    ]
+    (jerk,) = mean_rows([PairResult(Path("a"), None, report) for report in reports])
+    assert jerk.value is None and (jerk.lowest, jerk.highest, jerk.count) == (215.0, 894.0, 2)
 
 
 def test_a_file_of_one_frame_is_named(metrics, folders: Path) -> None:

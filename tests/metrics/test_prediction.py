@@ -12,6 +12,7 @@ from motionkit.metrics.prediction import (
     power_spectrum_similarity,
     rotation_distance,
 )
+from motionkit.metrics.similarity import expmaps_like, joint_expmaps
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply
 from motionkit.motion.skeleton import JOINT_COUNT
@@ -53,6 +54,22 @@ def test_spectra_do_not_see_a_delay_but_a_change_of_pace() -> None:
     assert power_spectrum_similarity(swinging(2.0, 0.1), truth).value == pytest.approx(0.0, abs=1e-6)
     # All power has to be moved from the fourth to the sixth frequency of a sequence of 2 s.
     assert power_spectrum_similarity(swinging(3.0), truth).value == pytest.approx(2.0, rel=1e-3)
+
+
+def test_a_body_that_turns_over_a_little_otherwise_is_nearly_the_same() -> None:
+    """Where it is upside down, the shortest exponential map jumps from one side to the other."""
+
+    def turning(extra: float) -> Motion:
+        motion = swaying(frames=120)
+        rotations = motion.local_rotations.copy()
+        half = 0.5 * (2.0 * math.pi * np.arange(120) / 120 + extra)
+        rotations[:, 0] = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1)
+        return replace(motion, local_rotations=rotations)
+
+    similar, other = (power_spectrum_similarity(turning(x), turning(0.0)).value for x in (0.02, 0.0))
+    assert other == pytest.approx(0.0, abs=1e-9) and similar is not None and 0.0 < similar < 0.01
+    maps = joint_expmaps(turning(0.0))
+    assert np.abs(expmaps_like(joint_expmaps(turning(0.02)), maps) - maps).max() < 0.05
 
 
 def test_motions_of_different_length_are_refused(motion: Motion) -> None:

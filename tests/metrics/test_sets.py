@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ import pytest
 from motionkit.errors import MotionkitError
 from motionkit.features.reference import PoseEmbedding
 from motionkit.metrics.distribution import diversity, frechet_distance, multimodality, window_features
-from motionkit.metrics.sets import set_metrics
+from motionkit.metrics.sets import set_metrics, set_metrics_of_files
+from motionkit.motion.bvh import write_bvh
 from motionkit.motion.motion import Motion
 
 from .conftest import placed, swaying
@@ -74,6 +76,18 @@ def test_sets_do_not_see_places_but_poses() -> None:
     other, _ = set_metrics(truths, [swaying(seed=seed) for seed in range(5, 8)])
     assert other.motion.value is not None and other.motion.value > 1.0
     assert other.motion.parameters["features"] == "pose embedding of the ground truth"
+
+
+def test_files_are_compared_over_their_common_frames(tmp_path: Path) -> None:
+    long, short = tmp_path / "long.bvh", tmp_path / "short.bvh"
+    write_bvh(long, swaying(200))
+    write_bvh(short, swaying(200).cut(0, 120))
+    distance, spread = set_metrics_of_files([(long, short)], frames=[120])
+    assert distance.motion.value == pytest.approx(0.0, abs=1e-3) and spread.ratio == pytest.approx(
+        1.0, abs=1e-3
+    )
+    whole, _ = set_metrics_of_files([(long, short)])
+    assert whole.motion.value is not None and whole.motion.value > 0.01
 
 
 def test_one_short_motion_is_too_little_for_a_distribution() -> None:

@@ -110,14 +110,14 @@ def test_laps_over_the_same_ground_cost_what_a_long_way_does(
     monkeypatch: pytest.MonkeyPatch, radius: float
 ) -> None:
     looked_at = 0
-    plain = module._length
+    plain = module.length
 
     def length(vectors: Array) -> Array:
         nonlocal looked_at
         looked_at += len(vectors)
         return plain(vectors)
 
-    monkeypatch.setattr(module, "_length", length)
+    monkeypatch.setattr(module, "length", length)
     counts = []
     for laps in (10, 40):
         looked_at, away = 0, np.random.default_rng(laps).normal(1.0, 0.05, (2, laps, 1, 1))

@@ -89,5 +89,6 @@ def test_a_motion_that_repeats_has_the_period_of_its_loop() -> None:
     assert loop_seconds(looped).value == pytest.approx(10.7, abs=0.05)
     late = np.concatenate([wandering(8.0, 7), looped])[: round(60 * POSE_RATE)]
     assert loop_seconds(late).value == pytest.approx(10.7, abs=0.05)
+    assert loop_seconds(np.zeros((1200, 69))).value is not None, "who stands still repeats it"
     free = loop_seconds(wandering(60.0, 8))
     assert free.value is None and free.reason == "no repetition within 30 s"

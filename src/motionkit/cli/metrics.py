@@ -92,11 +92,12 @@ class Measuring:
         from motionkit.metrics.sets import set_metrics_of_files
 
         files = [(r.ground_truth, r.generated) for r in measured if r.report and r.generated]
+        frames = [r.report.frames for r in measured if r.report and r.generated]
         scales = (self.scale, self.generated_scale)
         if not files:
             return ()
         progress = show.count("comparing", 2 * len(files))
-        return set_metrics_of_files(files, scales, self.rates, self.skip, self.given, progress)
+        return set_metrics_of_files(files, scales, self.rates, self.skip, self.given, frames, progress)
 
 
 @click.command(
@@ -239,8 +240,12 @@ def _tell_many(
     elif as_csv:
         click.echo(csv_text(results, sets), nl=False)
     else:
-        for line in _tables([result for result in results if result.report], sets):
+        measured = [result for result in results if result.report]
+        for line in _tables(measured, sets):
             stdout_console().print(line)
+        notes = [(r.name, f"{r.name}: {note}") for r in measured if r.report for note in r.report.notes]
+        for line in lines_of_files(notes):
+            stdout_console().print(f"note: {line}")
     failed = [result for result in results if result.report is None]
     faults = [(str(result.ground_truth), result.error) for result in failed]
     faults += [(str(path), f"{path} has no partner of the same name") for path in lonely]

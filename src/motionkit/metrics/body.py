@@ -12,7 +12,8 @@ import numpy as np
 
 from motionkit.arrays import Array, spans
 from motionkit.features.heading import heading_angles
-from motionkit.metrics.body_movement import euler_movement, geodesic_movement
+from motionkit.metrics.body_movement import angular_speed, euler_movement
+from motionkit.metrics.pace import PACE_SECONDS
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate, quat_to_expmap
@@ -31,7 +32,6 @@ OFF_GROUND = 1.5  # cm above standing height; both feet are higher in a flight
 # In the flight of a run, both feet are at least RUN_LIFT (cm) above the lowest tenth of the lower foot's heights and
 # faster than RUN_FOOT_SPEED (cm/s). The clip itself is the level, because runs are short and their floor is uncertain.
 RUN_LIFT, RUN_FOOT_SPEED = 2.0, 80.0
-SPEED_SPAN = 0.2  # seconds over which ground speed is measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,10 @@ class Body:
 
     @cached_property
     def velocity(self) -> Array:
-        """(T, 2) velocity of the root over the ground in m/s, to the left and ahead, measured over SPEED_SPAN."""
-        span = min(max(1, round(SPEED_SPAN * self.fps)), len(self) - 1)
+        """(T, 2) velocity of the root over the ground in m/s, to the left and ahead, measured over PACE_SECONDS."""
+        if len(self) < 2:
+            return np.zeros((len(self), 2), np.float32)
+        span = min(max(1, round(PACE_SECONDS * self.fps)), len(self) - 1)
         ground = self.positions[:, HIPS, [0, 2]]
         steps = (ground[span:] - ground[:-span]) * (self.fps / span / 100.0)
         before = span // 2
@@ -182,7 +184,7 @@ class Body:
 
     def joint_speed(self) -> float:
         """Return the mean angular speed of all joints but the root in rad/s."""
-        return float(geodesic_movement(self.rotations)[:, 1:].mean() * (np.pi / 180.0) * self.fps)
+        return angular_speed(self.rotations, range(1, self.rotations.shape[1]), self.fps)
 
     def body_movement(self) -> float:
         """Return body movement in degrees per frame (metric bm-euler), extreme frames included."""

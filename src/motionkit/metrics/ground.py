@@ -15,7 +15,9 @@ from motionkit.errors import MotionkitError
 from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue, need
 
 TOES = (1, 3)  # indices of the toes in the four foot joints
-STANDING_TOE = 3.5  # cm from the ground under the soles to a standing toe joint; median of the CMU recordings
+# cm from the ground under the soles to the floor, which is the height of the lowest standing toe joints; median of the
+# CMU recordings.
+FLOOR_HEIGHT = 3.5
 
 
 def ground_speed(feet: Array) -> Array:

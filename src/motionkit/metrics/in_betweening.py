@@ -14,6 +14,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
+from motionkit.metrics.prediction import power_distance
 from motionkit.metrics.value import MetricValue
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.motion import Motion
@@ -125,8 +126,4 @@ def _distance(made: Array, truth: Array) -> float:
 
 def spectrum_distance(made: Array, truth: Array) -> float:
     """Return NPSS of signals (N, T, C): squared real parts of Fourier coefficients, weighted by the true power."""
-    powers = [np.square(np.fft.fft(each, axis=1).real) for each in (made, truth)]
-    totals = [power.sum(axis=1, keepdims=True) for power in powers]
-    shares = [power / np.maximum(total, 1e-12) for power, total in zip(powers, totals, strict=True)]
-    moved = np.abs(np.cumsum(shares[0], axis=1) - np.cumsum(shares[1], axis=1)).sum(axis=1)
-    return float((moved * totals[1][:, 0]).sum() / max(float(totals[1].sum()), 1e-12))
+    return power_distance(*(np.square(np.fft.fft(each, axis=1).real) for each in (made, truth)))

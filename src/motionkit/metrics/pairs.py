@@ -47,7 +47,7 @@ class PairResult:
 
 @dataclass(frozen=True)
 class MeanRow:
-    """Mean of one metric over many pairs; None if no pair has a value.
+    """Mean of one metric over many pairs; None if no pair has a value on both sides, or their rates differ.
 
     lowest and highest are the extremes over the measured files; count is the number of files with a value.
     """
@@ -127,7 +127,10 @@ def _evaluated(
 
 
 def mean_rows(results: Sequence[PairResult]) -> list[MeanRow]:
-    """The mean of each metric over the pairs that have a value, on both sides; every pair has the same weight."""
+    """The mean of each metric over the pairs that have a value, on both sides; every pair has the same weight.
+
+    Jerk has no mean over files whose jerk is measured at different rates, because it grows with the rate.
+    """
     reports = [result.report for result in results if result.report is not None]
     rows = []
     for first in reports[0].rows if reports else ():
@@ -137,14 +140,16 @@ def mean_rows(results: Sequence[PairResult]) -> list[MeanRow]:
             for row in of_pairs
             if row.ground_truth is None or row.ground_truth.value is not None
         ]
-        values = [value for value, _ in sides if value is not None]
-        truths = [truth for value, truth in sides if value is not None and truth is not None]
+        both = [(value, truth) for value, truth in sides if value is not None]
+        if len({row.motion.parameters.get("fps") for row in of_pairs if row.motion.value is not None}) > 1:
+            both = []
+        values = [row.motion.value for row in of_pairs if row.motion.value is not None]
         rows.append(
             MeanRow(
                 first.id,
                 first.motion.unit,
-                _mean(values),
-                _mean(truths),
+                _mean([value for value, _ in both]),
+                _mean([truth for _, truth in both if truth is not None]),
                 min(values, default=None),
                 max(values, default=None),
                 len(values),

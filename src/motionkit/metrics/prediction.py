@@ -6,7 +6,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.metrics.similarity import joint_expmaps
+from motionkit.metrics.similarity import expmaps_like, joint_expmaps
 from motionkit.metrics.value import MetricValue, need
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -66,11 +66,20 @@ def power_spectrum_similarity(motion: Motion, truth: Motion) -> MetricValue:
         MotionkitError: the motions differ in length.
     """
     _same_length(motion, truth)
-    made, real = (_power(joint_expmaps(each).reshape(len(each), -1)) for each in (motion, truth))
-    shares = [each / np.maximum(each.sum(axis=0), 1e-12) for each in (made, real)]
-    moved = np.abs(np.cumsum(shares[0], axis=0) - np.cumsum(shares[1], axis=0)).sum(axis=0)
-    weights = real.sum(axis=0)
-    return MetricValue("npss", float((moved * weights).sum() / max(float(weights.sum()), 1e-12)), "")
+    maps = joint_expmaps(truth)
+    made, real = _power(expmaps_like(joint_expmaps(motion), maps)), _power(maps)
+    return MetricValue("npss", power_distance(made, real), "")
+
+
+def power_distance(made: Array, real: Array) -> float:
+    """Return the earth mover's distance between normalised powers (..., F, C) at frequencies, weighted by the real."""
+    totals = [each.sum(axis=-2) for each in (made, real)]
+    first, second = (
+        np.cumsum(each / np.maximum(total[..., None, :], 1e-12), axis=-2)
+        for each, total in zip((made, real), totals, strict=True)
+    )
+    moved = np.abs(first - second).sum(axis=-2)
+    return float((moved * totals[1]).sum() / max(float(totals[1].sum()), 1e-12))
 
 
 def _power(signals: Array) -> Array:

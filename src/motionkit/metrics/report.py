@@ -15,7 +15,7 @@ from motionkit.features.heading import heading_angles
 from motionkit.free_memory import BYTES_BESIDE, check_memory
 from motionkit.metrics.body_movement import body_movement
 from motionkit.metrics.ground import (
-    STANDING_TOE,
+    FLOOR_HEIGHT,
     average_foot_sliding,
     foot_skate_ratio,
     penetration,
@@ -28,7 +28,7 @@ from motionkit.metrics.prediction import (
     power_spectrum_similarity,
     rotation_distance,
 )
-from motionkit.metrics.similarity import joint_expmaps, structural_similarity
+from motionkit.metrics.similarity import expmaps_like, joint_expmaps, structural_similarity
 from motionkit.metrics.smoothness import jerk_extremes, mean_jerk
 from motionkit.metrics.touch import (
     GROUPS,
@@ -55,7 +55,7 @@ PAIR_METRICS: dict[str, tuple[str, float]] = {
     "ssim-channel": ("", 1.0),
     "ssim-window": ("", 1.0),
     "mpjpe": ("cm", 0.0),
-    "path-mean": ("cm/frame", 0.0),
+    "path-mean": ("cm", 0.0),
     "path-max": ("cm", 0.0),
     "path-coverage": ("", 1.0),
     "location-mean": ("cm", 0.0),
@@ -331,7 +331,7 @@ def _single_metrics(
         usual: the ground truth at its own rate, whose jerk is usual.
     """
     positions = motion_kinematics(motion)[1].astype(np.float64)
-    feet, ground = foot_positions(positions), floor - STANDING_TOE
+    feet, ground = foot_positions(positions), floor - FLOOR_HEIGHT
     native_positions, recorded = (motion_kinematics(each)[1].astype(np.float64) for each in (native, usual))
     rotations = motion.local_rotations
     measures: list[tuple[Callable[[], MetricValue | tuple[MetricValue, ...]], dict[str, str]]] = [
@@ -346,7 +346,7 @@ def _single_metrics(
             {"jerk-peak": "m/s^3", "jerk-area": "m/s^2"},
         ),
         (lambda: penetration(feet, floor), {"penetration-mean": "cm", "penetration-max": "cm"}),
-        (lambda: leaps(positions), {"leaps": "1/min"}),
+        (lambda: leaps(positions, native.fps), {"leaps": "1/min"}),
         (lambda: fastest_turn(rotations), {"turn-max": "deg/s"}),
         (lambda: planted_share(positions, ground), {"planted-share": ""}),
         (lambda: hover_share(positions, ground), {"hover-share": ""}),
@@ -357,7 +357,8 @@ def _single_metrics(
 
 
 def _pair_metrics(motion: Motion, reference: Motion, settings: MetricSettings) -> list[MetricRow]:
-    mine, theirs = joint_expmaps(motion), joint_expmaps(reference)
+    theirs = joint_expmaps(reference)
+    mine = expmaps_like(joint_expmaps(motion), theirs)
     places, true_places = motion_kinematics(motion)[1], motion_kinematics(reference)[1]
     track, path = ground_track(motion.root_positions), ground_track(reference.root_positions)
     values = [
@@ -404,8 +405,8 @@ def _jerk_notes(rate: float) -> list[str]:
     if rate >= FRAME_RATE:
         return []
     return [
-        f"jerk is measured at {rate:g} fps, the lowest rate of the files; body movement of such a file is "
-        "interpolated between frames and reads low"
+        f"jerk is measured at {rate:g} fps, the lowest rate of the files; between frames of such a file joints are "
+        "interpolated, so bm and turn-max read low and skate-ratio high"
     ]
 
 

@@ -54,18 +54,21 @@ def set_metrics_of_files(
     rates: tuple[float | None, float | None] = (None, None),
     skip: int = 0,
     given: int = 0,
+    frames: Sequence[int] | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[MetricRow, ...]:
     """Measure sets of files of any rig, in pairs (ground truth, generated); arguments as for evaluate_files.
 
-    progress is called with the number of files read, up to twice the number of pairs.
+    frames are those of each pair that are compared, all by default. progress is called with the number of files read,
+    up to twice the number of pairs.
     """
     starts = skip + given, skip
 
     def motions(side: int) -> Iterator[Motion]:
         for number, pair in enumerate(pairs, side * len(pairs) + 1):
             whole = resample(load_canonical(pair[side], scales[side], rates[side])[0], FRAME_RATE)
-            yield whole.cut(starts[side], len(whole))
+            end = len(whole) if frames is None else starts[side] + frames[number - side * len(pairs) - 1]
+            yield whole.cut(starts[side], end)
             progress(number)
 
     return set_metrics(motions(0), motions(1))

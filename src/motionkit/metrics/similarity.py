@@ -28,6 +28,19 @@ def joint_expmaps(motion: Motion) -> Array:
     return expmaps.reshape(len(expmaps), -1)
 
 
+def expmaps_like(generated: Array, reference: Array) -> Array:
+    """Return the exponential maps (T, 69) of generated that are nearest to those of reference, frame by frame.
+
+    A rotation has two maps shorter than a full turn, v and v - 2 pi v/|v|. Near half a turn, such as a body's in a
+    cartwheel, a small difference decides which of them is the shorter one.
+    """
+    made, real = (each.reshape(len(each), -1, 3) for each in (generated, reference))
+    angles = np.linalg.norm(made, axis=-1, keepdims=True)
+    other = made - 2.0 * np.pi * made / np.maximum(angles, 1e-9)
+    nearer = ((other - real) ** 2).sum(-1, keepdims=True) < ((made - real) ** 2).sum(-1, keepdims=True)
+    return np.where(nearer, other, made).reshape(generated.shape)
+
+
 def structural_similarity(
     generated: Array, reference: Array, kind: str = "window", settings: MetricSettings | None = None
 ) -> MetricValue:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, length
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings, MetricValue
 
@@ -44,7 +44,7 @@ class TrajectoryDistance:
     def values(self) -> tuple[MetricValue, MetricValue, MetricValue]:
         """Mean, maximum and coverage as metric values."""
         return (
-            MetricValue("path-mean", self.mean, "cm/frame"),
+            MetricValue("path-mean", self.mean, "cm"),
             MetricValue("path-max", self.max, "cm"),
             MetricValue("path-coverage", self.coverage, "", {"tolerance_cm": self.tolerance}),
         )
@@ -84,9 +84,9 @@ def distance_to_path(points: Array, path: Array) -> Array:
             waiting += [(which[half:], box[half:], level), (which[:half], box[:half], level)]
             continue
         places, low, high = levels[level]
-        np.minimum.at(nearest, which, _length(points[which] - places[box]))
+        np.minimum.at(nearest, which, length(points[which] - places[box]))
         outside = np.maximum(np.maximum(low[box] - points[which], points[which] - high[box]), 0.0)
-        near = _length(outside) < nearest[which]
+        near = length(outside) < nearest[which]
         which, box = which[near], box[near]
         if level:
             inner = (box[:, None] * _BRANCHES + np.arange(_BRANCHES)).ravel()
@@ -115,11 +115,7 @@ def _distance_to_segments(points: Array, start: Array, end: Array) -> Array:
     """Distance (T,) from points (T, 2) to a segment each, from start to end (T, 2)."""
     along, offset = end - start, points - start
     share = np.clip((offset * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-12), 0.0, 1.0)
-    return _length(offset - share[:, None] * along)
-
-
-def _length(vectors: Array) -> Array:
-    return np.hypot(vectors[:, 0], vectors[:, 1])
+    return length(offset - share[:, None] * along)
 
 
 def trajectory_distance(

@@ -129,8 +129,9 @@ def loop_seconds(poses: Array) -> MetricValue:
     limit = LOOP_SHARE * usual
     for index, value in enumerate(at):
         lower_after = index + 1 < len(at) and at[index + 1] < value
-        if value < limit and not lower_after:
-            return MetricValue("loop", (first + index) / POSE_RATE, "s", {"share": value / usual})
+        if value <= limit and not lower_after:
+            share = value / usual if usual else 0.0  # a motion that stands still repeats itself at any time
+            return MetricValue("loop", (first + index) / POSE_RATE, "s", {"share": share})
     return MetricValue("loop", None, "s", reason=f"no repetition within {last / POSE_RATE:g} s")
 
 

@@ -84,6 +84,8 @@ def test_every_path_of_known_types_is_measured(make_trial, monkeypatch: pytest.M
         _, mean, largest, _, finished, *_ = row
         assert goal.value == mean and 0.0 < mean <= largest  # the model hardly moves, but not along the path
         assert finished == "0 of 1" and goal.note == "finished 0 of 1"
+    end = next(goal for goal in section.goals if "to the end" in goal.what)
+    assert end.value == 0.0 and not end.reached
     assert [row[0] for row in second.rows] == [trial.name for trial in asked]
     off = next(goal for goal in section.goals if "speed off by" in goal.what)
     assert off.value is not None and not off.reached  # it hardly moves
@@ -319,12 +321,13 @@ def test_the_fastest_joint_is_found(real: RealMotion) -> None:
     turn = fastest_turn(rotations)
     assert turn.parameters["joint"] == "LeftToeBase"
     assert turn.value == pytest.approx(math.degrees(1.0) * 60.0, rel=0.05)
-    limit, largest = turn_limit(real)
-    assert 0.0 < limit <= largest
+    limit, stands = turn_limit(real, real.types), turn_limit(real, {"idle"})
+    assert limit is not None and stands is not None and 0.0 < stands < limit
+    assert turn_limit(real, {"unheard-of"}) is None
 
 
 def test_the_limit_of_acceleration_is_that_of_the_types(real: RealMotion) -> None:
-    walking, everything = acceleration_limit(real, {"walking"}), acceleration_limit(real)
+    walking, everything = acceleration_limit(real, {"walking"}), acceleration_limit(real, real.types)
     assert walking is not None and everything is not None and 0.0 < walking <= everything * 1.001
     assert acceleration_limit(real, {"unheard-of"}) is None
 

@@ -34,6 +34,7 @@ def test_a_training_pose_is_at_distance_zero_unless_its_clip_is_left_out(
         dataset.layout.version,
     )
     assert real.pose_distances(body_of(twin))[0, kind] == pytest.approx(0.0, abs=0.1)
+    assert real.pose_distances(body_of(twin), without=stretch.clip)[0, kind] > 0.1
 
 
 def test_distances_do_not_depend_on_place_or_heading(real: RealMotion) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +62,15 @@ def test_a_type_must_move_as_much_in_the_mean_as_its_clips(
     """Even where every roll-out is as slow as the calmest clips are."""
     reasons = reasons_of(replace(GOOD, joint_speed=speed), Judge(RealMotion(dataset)), [])
     assert reasons == ((f"it moves {reason} times as much as the clips",) if reason else ())
+
+
+@pytest.mark.parametrize(
+    ("path", "reason"),
+    [(0.9, ""), (1.2, "1.2 cm from its path, expected at most 1"), (math.inf, "to its end")],
+)
+def test_a_gait_follows_a_path_to_its_end(dataset: Dataset, path: float, reason: str) -> None:
+    reasons = reasons_of(replace(GOOD, path=path), Judge(RealMotion(dataset)), [])
+    assert len(reasons) == bool(reason) and all(reason in each for each in reasons)
 
 
 @pytest.mark.parametrize(("shown", "works"), [(8, True), (7, True), (6, False)])

@@ -134,7 +134,9 @@ def _circles(trial: Trial, progress: Progress) -> tuple[Table, list[Goal]] | Non
     tasks = [(path, seed) for *_, path in trials for seed in trial.seeds(repeats)]
     walks = roll_paths(trial.model, tasks, trial.settings.noise, trial.each, progress)
     matched = [trial.matched.along(path) for *_, path in trials]
-    swings = {kind: _recorded_swing(trial, kind) for kind in kinds}
+    swings = {
+        kind: arm_swing([s.body for s in trial.real.of_type(kind) if s.body.seconds >= 1.0]) for kind in kinds
+    }
     rows: list[tuple[Cell, ...]] = []
     goals: list[Goal] = []
     for (kind, radius, path), mine, other in zip(trials, grouped(walks, repeats), matched, strict=True):
@@ -147,7 +149,8 @@ def _circles(trial: Trial, progress: Progress) -> tuple[Table, list[Goal]] | Non
                 who, float(np.mean(distances)), slip(each), max(slip([b]) for b in each), arm_swing(each),
                 swings[kind], lean, needed,
             ))  # fmt: skip
-        goals.append(at_least(f"{name}: arm swing / real", arm_swing(bodies) / swings[kind], LIVELY))
+        if recorded := swings[kind]:
+            goals.append(at_least(f"{name}: arm swing / real", (arm_swing(bodies) or 0.0) / recorded, LIVELY))
         if kind == gaits[0] and radius == CIRCLES[0]:
             goals.append(at_most(f"{name}: slip of low toes, cm/s", slip(bodies), SLIP))
     columns = (
@@ -157,15 +160,14 @@ def _circles(trial: Trial, progress: Progress) -> tuple[Table, list[Goal]] | Non
     return Table("Circles", columns, rows), goals
 
 
-def arm_swing(bodies: Sequence[Body]) -> float:
-    """Return how far hands swing: the standard deviation in cm of their places ahead of the hips, mean over bodies."""
+def arm_swing(bodies: Sequence[Body]) -> float | None:
+    """Return how far hands swing: the standard deviation in cm of their places ahead of the hips, mean over bodies.
+
+    None without bodies.
+    """
     swings = []
     for body in bodies:
         hands = body.positions[:, list(HANDS)] - body.positions[:, :1]
         facing = np.stack([np.sin(body.heading), np.cos(body.heading)], axis=-1)
         swings.append(float((hands[..., [0, 2]] * facing[:, None]).sum(axis=-1).std(axis=0).mean()))
-    return float(np.mean(swings))
-
-
-def _recorded_swing(trial: Trial, kind: str) -> float:
-    return arm_swing([s.body for s in trial.real.of_type(kind) if s.body.seconds >= 1.0])
+    return float(np.mean(swings)) if swings else None

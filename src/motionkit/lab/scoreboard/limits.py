@@ -6,7 +6,7 @@ smooth. The limits are therefore values that 99.9 % of the recorded frames stay 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 import numpy as np
 
@@ -19,19 +19,18 @@ from motionkit.training.verdict.real import RealMotion
 REAL_SHARE = 0.999  # share of the recorded frames that are below a limit
 
 
-def turn_limit(real: RealMotion) -> tuple[float, float]:
-    """Return the limit and the largest speed of the fastest joint over the recorded frames, in degrees per second."""
-    frames = np.concatenate(
-        [geodesic_movement(s.body.rotations).max(axis=1) * s.body.fps for s in real.stretches]
+def turn_limit(real: RealMotion, kinds: Collection[str]) -> float | None:
+    """Return the limit of the fastest joint in degrees per second, over recordings of some types; None without."""
+    return _limit(
+        geodesic_movement(s.body.rotations).max(axis=1) * s.body.fps
+        for s in real.stretches
+        if s.type in kinds
     )
-    return _limit(frames), float(frames.max())
 
 
-def acceleration_limit(real: RealMotion, kinds: Collection[str] | None = None) -> float | None:
-    """Return the limit of acceleration over the ground in m/s^2, over recordings of some types or all; None without."""
-    chosen = [s.body for s in real.stretches if kinds is None or s.type in kinds]
-    frames = np.concatenate([np.zeros(0), *map(accelerations, chosen)])
-    return _limit(frames) if len(frames) else None
+def acceleration_limit(real: RealMotion, kinds: Collection[str]) -> float | None:
+    """Return the limit of acceleration over the ground in m/s^2, over recordings of some types; None without."""
+    return _limit(accelerations(s.body) for s in real.stretches if s.type in kinds)
 
 
 def accelerations(body: Body) -> Array:
@@ -39,6 +38,6 @@ def accelerations(body: Body) -> Array:
     return ground_acceleration(body.positions[:, 0], body.fps)
 
 
-def _limit(values: Array) -> float:
-    ordered = np.sort(values)
-    return float(ordered[int(REAL_SHARE * (len(ordered) - 1))])
+def _limit(values: Iterable[Array]) -> float | None:
+    ordered = np.sort(np.concatenate([np.zeros(0), *values]))
+    return float(ordered[int(REAL_SHARE * (len(ordered) - 1))]) if len(ordered) else None

@@ -17,9 +17,10 @@ from motionkit.lab.scoreboard.roles import find_roles
 from motionkit.lab.scoreboard.starts import LOW
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.lab.scoreboard.visible import flips, value_of
-from motionkit.metrics.body import SPEED_SPAN, Body
-from motionkit.metrics.ground import STANDING_TOE, TOES, ground_speed
+from motionkit.metrics.body import STANDING_TOE, Body
+from motionkit.metrics.ground import TOES, ground_speed
 from motionkit.metrics.leaps import leaps
+from motionkit.metrics.pace import PACE_SECONDS
 from motionkit.metrics.touch import hover_share, planted_share, touching
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.metrics.value import MetricValue
@@ -211,6 +212,7 @@ def _distances(
     compared: list[str] = []
     further: list[str] = []
     sliding: list[str] = []
+    unfinished: list[str] = []
     for each, walks in zip(trials, groups, strict=True):
         found, slips = _followed(each, walks), slip([walk.take.default for walk in walks])
         matched: tuple[float | None, float | None] = (None, None)
@@ -220,16 +222,18 @@ def _distances(
             slips_matched = slip([other])
             matched = away, slips_matched
             compared.append(each.name)
-            further += [each.name] if found.mean > away else []
+            further += [each.name] if found.mean > away or found.finished < len(walks) else []
             sliding += [each.name] if slips > slips_matched else []
         ends = f"{found.finished} of {len(walks)}"
         rows.append((
             each.name, found.mean, found.largest, found.raw, ends, found.seconds, found.coverage, found.flight, slips,
             _recorded_slip(trial, each.path), *matched,
         ))  # fmt: skip
+        unfinished += [each.name] if found.finished < len(walks) else []
         note = "" if found.finished == len(walks) else f"finished {ends}"
-        name = f"{each.name}: mean distance, cm"
-        goals.append(at_most(name, found.mean, each.target, note))
+        goals.append(at_most(f"{each.name}: mean distance, cm", found.mean, each.target, note))
+    # Whoever stands still stays near its path.
+    goals.append(all_of("paths that all characters follow to the end", [t.name for t in trials], unfinished))
     if compared:
         goals.append(all_of("as near to the path as motion matching: share of paths", compared, further))
         goals.append(
@@ -285,7 +289,12 @@ def _speeds(trial: Trial, trials: list[PathTrial], groups: list[Sequence[Walk]])
             needed,
         ))  # fmt: skip
         planned = (part_speeds(trial.model, each.path) / METRE).tolist()[: len(each.speeds)]
-        off = max(abs(found / speed - 1.0) for found, speed in zip(means, planned, strict=True))
+        # Of each character, because one that is too slow does not make up for another that is too fast.
+        apart = [
+            np.mean([abs(found / speed - 1.0) for found in of_part])
+            for of_part, speed in zip(zip(*speeds, strict=True), planned, strict=True)
+        ]
+        off = float(max(apart))
         note = "; ".join(other_speeds(trial.model, each.path))
         goals.append(at_most(f"{each.name}: speed off by", off, SPEED_SHARE, note, ".0%"))
         if stood is not None:
@@ -322,7 +331,7 @@ def slip(bodies: Sequence[Body]) -> float:
     for body in bodies:
         toes = foot_positions(body.positions)[:, list(TOES)].astype(np.float64)
         found.append((ground_speed(toes) * body.fps)[toes[1:, :, 1] < STANDING_TOE + LOW])
-    speeds = np.concatenate(found)
+    speeds = np.concatenate([np.zeros(0), *found])
     return float(speeds.mean()) if len(speeds) else 0.0
 
 
@@ -351,7 +360,7 @@ def leaning(body: Body) -> tuple[float, float]:
     )
     speed = np.maximum(np.linalg.norm(local, axis=-1), 1e-6)
     angle = np.unwrap(np.arctan2(local[:, 0], local[:, 1]))
-    edge = max(1, round(SPEED_SPAN * body.fps / 2))  # where the velocity is that of the frames inside
+    edge = max(1, round(PACE_SECONDS * body.fps / 2))  # where the velocity is that of the frames inside
     inside = angle[edge:-edge]
     rate = float(
         (inside[-1] - inside[0]) * body.fps / max(1, len(inside) - 1)

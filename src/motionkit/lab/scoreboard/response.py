@@ -19,7 +19,8 @@ from motionkit.control.drive import Driver, Wish
 from motionkit.control.steering import usual_gaits
 from motionkit.lab.scoreboard.report import Section, all_of, at_most
 from motionkit.lab.scoreboard.trial import Trial
-from motionkit.metrics.body import SPEED_SPAN, Body
+from motionkit.metrics.body import Body
+from motionkit.metrics.pace import PACE_SECONDS
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.tables import Cell, Table
@@ -55,7 +56,7 @@ class Command:
     before: Wish
     after: Wish
     answers: Answer
-    looks_ahead: float = SPEED_SPAN / 2
+    looks_ahead: float = PACE_SECONDS / 2
     speed: float | None = None
 
 
@@ -110,7 +111,7 @@ def commands(model: MotionModel) -> list[Command]:
             before, after = ahead(kind, share=first), ahead(kind, share=then)
             goal = math.hypot(*(after.velocity or (0.0, 0.0))) / 100.0
             name = f"{kind}, {first:.0%} → {then:.0%} of its speed"
-            ahead_by = (SPEED_SPAN + STEADY_SECONDS) / 2
+            ahead_by = (PACE_SECONDS + STEADY_SECONDS) / 2
             out.append(Command(name, "speed", before, after, _goes_at(goal), ahead_by, goal))
     return out
 

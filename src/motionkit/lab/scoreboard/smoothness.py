@@ -67,10 +67,9 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
         for seed in trial.seeds(settings.repeats)
     ]
     takes = grouped(trial.roll(plans, lambda share: progress(0.7 * share)), settings.repeats)
-    limit, largest = turn_limit(trial.real)
-    found = [_measured(trial, sequence, mine, limit) for sequence, mine in zip(known, takes, strict=True)]
+    found = [_measured(trial, sequence, mine) for sequence, mine in zip(known, takes, strict=True)]
     columns = (
-        "sequence", "fastest joint, degrees/s", "joint", "/ real", "raw / real", "acceleration, m/s^2",
+        "sequence", "fastest joint, degrees/s", "joint", "real, degrees/s", "raw / real", "acceleration, m/s^2",
         "real acceleration", "frames at the limit", "lowest joint, cm", "raw lowest joint, cm",
         "leaps a minute", "flipped",
     )  # fmt: skip
@@ -79,8 +78,8 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
     notes = [
         f"{settings.repeats} characters per sequence, as synthesize makes them by default; raw: feet not locked; the "
         f"worst value of each; each type lasts its own length or {LASTING_SECONDS:g} s",
-        f"real: {limit:.0f} degrees/s; the fastest joint is slower in {REAL_SHARE:.1%} of the recorded frames; the "
-        f"largest recorded value, {largest:.0f} degrees/s, is not used",
+        f"real: the fastest joint is slower in {REAL_SHARE:.1%} of the recorded frames of the sequence's types; the "
+        "largest recorded values are not used",
         f"acceleration: of the root over the ground, between velocities over 0.2 s; real: {REAL_SHARE:.1%} of the "
         "frames of the sequence's types are below it; finishing holds the root below the same limit of the model's own "
         f"recordings, and frames at the limit is the share that it holds (within {1 - AT_LIMIT:.0%})",
@@ -97,15 +96,14 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
 
 
 def _measured(
-    trial: Trial, sequence: tuple[str, ...], takes: Sequence[Take], limit: float
+    trial: Trial, sequence: tuple[str, ...], takes: Sequence[Take]
 ) -> tuple[tuple[Cell, ...], list[Goal]]:
-    """The row and the goals of a sequence; limit is that of recorded joints in degrees per second."""
+    """The row and the goals of a sequence."""
     bodies, raw = [take.default for take in takes], [take.raw for take in takes]
     fastest, joint = fastest_joint(bodies)
-    brakes, most = (
-        max(float(accelerations(b).max()) for b in bodies),
-        acceleration_limit(trial.real, sequence),
-    )
+    brakes = max(float(accelerations(b).max()) for b in bodies)
+    limit, most = turn_limit(trial.real, sequence), acceleration_limit(trial.real, sequence)
+    assert limit is not None, "sequences are of recorded types"
     model_limit = limit_of_model(trial.model, sequence)
     at_limit = (
         None
@@ -124,7 +122,7 @@ def _measured(
     if most is not None:
         goals.append(at_most(f"{name}: acceleration / real", brakes / most, 1.0))
     row = (
-        name, fastest, joint, fastest / limit, fastest_joint(raw)[0] / limit, brakes, most, at_limit, lowest,
-        raw_lowest, leaping, sum(map(flips, bodies)),
+        name, fastest, joint, limit, fastest_joint(raw)[0] / limit, brakes, most, at_limit, lowest, raw_lowest,
+        leaping, sum(map(flips, bodies)),
     )  # fmt: skip
     return row, goals

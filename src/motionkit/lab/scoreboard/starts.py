@@ -8,8 +8,8 @@ from motionkit.control.script import TypePart
 from motionkit.lab.scoreboard.report import Goal, at_most
 from motionkit.lab.scoreboard.roles import find_roles
 from motionkit.lab.scoreboard.trial import Trial
-from motionkit.metrics.body import Body
-from motionkit.metrics.ground import STANDING_TOE, TOES, ground_speed
+from motionkit.metrics.body import STANDING_TOE, Body
+from motionkit.metrics.ground import TOES, ground_speed
 from motionkit.motion.floor import foot_positions
 from motionkit.tables import Table
 from motionkit.training.verdict.rolling import Plan, Progress, grouped
@@ -43,9 +43,9 @@ def starts_and_stops(trial: Trial, progress: Progress) -> tuple[Table, list[Goal
     takes = trial.roll(plans, progress)
     rows, goals = [], []
     for gait, mine in zip(going, grouped(takes, repeats), strict=True):
-        recorded = [_share([s.body for s in trial.real.of_type(kind)]) for kind in (idle, str(gait), idle)]
-        real = sum(recorded) / len(recorded)
-        default, raw = _share([take.default for take in mine]), _share([take.raw for take in mine])
+        stands, goes = ([s.body for s in trial.real.of_type(kind)] for kind in (idle, str(gait)))
+        real = sliding_share(stands, goes, stands)
+        default, raw = (sliding_share([getattr(take, name) for take in mine]) for name in ("default", "raw"))
         name = f"{idle} → {gait} → {idle}"
         rows.append((name, default, raw, real))
         if real:
@@ -54,6 +54,11 @@ def starts_and_stops(trial: Trial, progress: Progress) -> tuple[Table, list[Goal
     return Table("Starts and stops", columns, rows), goals
 
 
-def _share(bodies: list[Body]) -> float:
-    counts = np.array([sliding_toes(body) for body in bodies]).sum(axis=0)
-    return float(counts[0] / max(int(counts[1]), 1))
+def sliding_share(*parts: list[Body]) -> float:
+    """Return the share of low toes that slide in parts of equal length, each with the mean of its bodies a frame."""
+    rates = []
+    for bodies in parts:
+        counts = np.array([sliding_toes(body) for body in bodies]).sum(axis=0)
+        rates.append(counts / sum(map(len, bodies)))
+    sliding, low = np.sum(rates, axis=0)
+    return float(sliding / low) if low else 0.0

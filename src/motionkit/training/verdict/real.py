@@ -30,7 +30,10 @@ TIE = 1.0  # cm per joint; below it one type is as near as another
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Recorded motion of one type: type, clip number in the dataset, clip name, split and body."""
+    """Recorded motion of one type: type, number of the recording, clip name, split and body.
+
+    The number is that of the recording's first clip in the dataset, also for its mirror image.
+    """
 
     type: str
     clip: int
@@ -102,7 +105,7 @@ class _PoseBank:
     Attributes:
         centre: (D,) their mean; around it, squared distances are exact enough in float32, which takes half the time.
         poses, squares: (N, D) around the centre, and (N,) their squares.
-        clips: (N,) clip number of each.
+        clips: (N,) number of the recording of each (Stretch).
         edges: where each type begins, and the end.
     """
 
@@ -155,7 +158,9 @@ class RealMotion:
         # A mirrored clip whose recording is in the same split adds nothing; where types have one recording, one of the
         # two trains and the other is held out.
         plain = {(clip.start, clip.split) for clip in dataset.clips if not clip.mirrored}
-        for number, clip in enumerate(dataset.clips):
+        numbers: dict[int, int] = {}
+        for index, clip in enumerate(dataset.clips):
+            number = numbers.setdefault(clip.start, index)
             if (clip.mirrored and (clip.start, clip.split) in plain) or (
                 clip.split == "test" and held_out != "test"
             ):
@@ -189,7 +194,7 @@ class RealMotion:
     def pose_distances(self, body: Body, without: int = -1) -> Array:
         """Return distances (T', N) in cm per joint to the nearest training pose of each type, every POSE_EVERY frames.
 
-        The poses of clip number `without` are left out. The distance to a type without poses is infinite.
+        The poses of recording `without` are left out. The distance to a type without poses is infinite.
         """
         return self._bank.distances(body.poses(POSE_EVERY), without, len(self.types))
 

@@ -65,7 +65,8 @@ class TypeVerdict:
         clips, seconds: its training clips and their length.
         shown, rollouts: roll-outs that show the type, of all.
         joint_speed: mean joint speed relative to the recordings.
-        path: mean distance in cm from a figure-eight; None for types that no velocity steers.
+        path: mean distance in cm from a figure-eight; None for types that no velocity steers, infinite if a character
+            does not follow it to the end.
         sliding: foot sliding of the roll-outs with held feet relative to that of the recordings.
         reasons: what is wrong, in plain words; empty for a type that works.
     """
@@ -142,7 +143,7 @@ def verdict_table(verdicts: list[TypeVerdict]) -> Table:
             "works" if v.works else "does not work",
             f"{v.shown} of {v.rollouts}",
             v.joint_speed,
-            v.path,
+            None if v.path == float("inf") else v.path,
             v.sliding,
             v.clips,
             v.seconds,
@@ -246,7 +247,8 @@ def _path_distances(
     out = {}
     for (kind, path), mine in zip(paths.items(), grouped(walks, len(seeds)), strict=True):
         tracks = [walk.take.default.positions[:, 0, [0, 2]] for walk in mine]
-        out[kind] = float(np.mean([trajectory_distance(track, path.points).mean for track in tracks]))
+        distances = [trajectory_distance(track, path.points).mean for track in tracks]
+        out[kind] = float(np.mean(distances)) if all(walk.finished for walk in mine) else float("inf")
     return out
 
 
@@ -266,7 +268,9 @@ def reasons_of(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> tuple[
         out.append(f"{words} ({cause})" if cause else words)
     elif moves:
         out.append(moves)
-    if verdict.path is not None and not verdict.path <= verdict.path_target:
+    if verdict.path == float("inf"):
+        out.append("does not follow a path to its end")
+    elif verdict.path is not None and not verdict.path <= verdict.path_target:
         out.append(f"{verdict.path:.1f} cm from its path, expected at most {verdict.path_target:g}")
     if verdict.sliding > verdict.sliding_target:
         out.append(f"feet slide {verdict.sliding:.1f} times as far as in the clips")
