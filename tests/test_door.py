@@ -171,6 +171,14 @@ def test_a_loop_is_that_of_the_command(tmp_path: Path) -> None:
     command += ["--seconds", "1", "--seed", "2", "-o", tmp_path / "command.bvh"]
     subprocess.run(command, check=True, capture_output=True)
     assert (tmp_path / "door.bvh").read_bytes() == (tmp_path / "command.bvh").read_bytes()
+    assert len(made.motions[0].contacts) == len(made.motion)
+    mk.write(tmp_path / "rig.bvh", mk.retarget(made, "@mixamo"))
+    subprocess.run(
+        [*command[:-1], tmp_path / "there.bvh", "--rig", "@mixamo"], check=True, capture_output=True
+    )
+    assert (tmp_path / "rig.bvh").read_bytes() == (tmp_path / "there.bvh").read_bytes()
+    with pytest.raises(mk.MotionkitError, match="a loop takes one motion type"):
+        api.loop("walking,running", seconds=1.0)
 
 
 def test_a_crowd_and_a_path_file(tmp_path: Path) -> None:

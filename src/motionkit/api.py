@@ -84,7 +84,8 @@ def retarget(
 
     Args:
         motion: on the 23 canonical joints in cm, the floor at height zero; a result of synthesize or follow_path, whose
-            feet are then locked on the rig's body alone; or a BVH file of any human rig.
+            feet are then locked on the rig's body alone, or of loop, which is closed again; or a BVH file of any human
+            rig.
         rig: result of read_rig, or what it takes.
         ik: keep the rig's feet on the floor, and hold them while those of the motion are in contact.
         clip: BVH file of the rig that animates its other joints (fingers, props); by default they keep their rest pose.
@@ -96,6 +97,7 @@ def retarget(
         MotionkitError: a file cannot be read, or a rig is not human.
     """
     from motionkit.control.synthesize import SynthesisResult
+    from motionkit.editing.loop import cycle_on_rig
     from motionkit.errors import naming
     from motionkit.export.clip import rig_clip
     from motionkit.finish.on_rig import on_rig
@@ -106,14 +108,17 @@ def retarget(
     target = read_rig(rig) if isinstance(rig, (str, Path)) else rig
     drawn: Unfinished | None = None
     types: tuple[tuple[str, float], ...] = ()
+    cyclic = False
     if isinstance(motion, (str, Path)):
         with naming(motion):
             motion = canonical_for(read_file(motion), target)[0]
     elif not isinstance(motion, Motion):
-        parts = motion.motions[0].types if isinstance(motion, SynthesisResult) else ()
-        types = tuple((part.type, part.seconds) for part in parts)
+        if isinstance(motion, SynthesisResult):
+            types = tuple((part.type, part.seconds) for part in motion.motions[0].types)
+            cyclic = motion.motions[0].cyclic
         drawn, motion = motion.unfinished, motion.motion
-    made = on_rig(motion, target, ik, None if clip is None else read_clip(clip, target), drawn)
+    other = None if clip is None else read_clip(clip, target)
+    made = cycle_on_rig(motion, target, ik, other) if cyclic else on_rig(motion, target, ik, other, drawn)
     return rig_clip(made, target, "motion", types)
 
 

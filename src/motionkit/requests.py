@@ -105,7 +105,9 @@ class SynthesisRequest:
         """Closed cycles of about the given length instead of motions; raises like editing.loop.find_loops."""
         from motionkit.editing.loop import find_loops
 
-        return find_loops(lambda times: self.longer(times).run(progress), seconds)
+        return find_loops(
+            lambda times: self.longer(times).run(progress), [plan[0].type for plan in self.plans], seconds
+        )
 
 
 def synthesis_request(
@@ -139,11 +141,13 @@ def loop_wish(types: str | Sequence[str], seconds: float | None) -> float | None
     """The length of loops in seconds: the one given, or that of their types, such as "walking:2"; None for any.
 
     Raises:
-        ControlError: the types have different lengths.
+        ControlError: a loop is of several types, or they have different lengths.
     """
     texts = [types] if isinstance(types, str) else types
-    alone = [text for text in texts if ":" in text and "," not in text]
-    times = {part.seconds for text in alone for part in parse_types(text)}
+    for text in texts:
+        if len(parse_types(text)) > 1:
+            raise ControlError(f"a loop takes one motion type, such as walking, found {text!r}")
+    times = {part.seconds for text in texts if ":" in text for part in parse_types(text)}
     if seconds is None and len(times) > 1:
         found = ", ".join(f"{time:g}" for time in sorted(times))
         raise ControlError(f"expected one length in seconds for all loops, found {found}")
@@ -197,9 +201,9 @@ def path_request(
         target = path if isinstance(path, Path2D) else read_path(path)
         check_shape_options(types, size, speed)
     else:
-        kinds = [nfc(word.strip()) for word in (types or walking_type(model)).split(",") if word.strip()]
-        if not kinds:
-            raise ControlError("types is empty; give motion types such as running,cartwheel")
+        kinds = [nfc(word.strip()) for word in (walking_type(model) if types is None else types).split(",")]
+        if not all(kinds):
+            raise ControlError(f"expected types such as running,cartwheel, found {types!r}")
         target = shape_path(str(path), size, kinds, speed)
     if strict:
         check_speeds(model, target)

@@ -113,7 +113,7 @@ def test_list_of_types(synthesize, tmp_path: Path) -> None:
         (["--types", "walking,qqq"], "unknown motion type 'qqq' (known: "),
         (["--types", "walking:x"], "expected seconds after the colon"),
         (["--types", "walking:5", "--character", "gaint"], "unknown character 'gaint'"),
-        (["--types", "walking:5,idle", "--seconds", "3"], "the parts alone take 5 s"),
+        (["--types", "walking:5,idle", "--seconds", "3"], "the other parts take 5 of 3 s"),
         (["--types", "idle:0.1", "-o", "/dev/null/x.bvh"], "/dev/null/x.bvh: cannot be written"),
     ],
 )

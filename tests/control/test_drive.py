@@ -9,7 +9,7 @@ from model_changes import with_clips
 from motionkit.arrays import Array
 from motionkit.control.drive import DriveOptions, Driver, Wish, together
 from motionkit.control.follow import PathFollower
-from motionkit.control.path import shape_path
+from motionkit.control.path import PathPart, make_path, shape_path
 from motionkit.control.plan import plan_path
 from motionkit.errors import ControlError
 from motionkit.features.control import Controls, future_trajectory
@@ -102,6 +102,29 @@ def test_a_change_within_a_blend_has_no_jump(tiny_model: MotionModel) -> None:
     assert np.abs(np.diff(weights, axis=0)).max() < 0.11
     assert np.allclose(weights.sum(-1), np.ones(len(weights), np.float32), atol=1e-5)
     assert shares(asked, tiny_model, "running")[-1] == 1.0
+
+
+def test_a_path_after_another_blends_its_type_in(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model, "idle", DriveOptions(blend_frames=10))
+    driver.set_wish(Wish(path=shape_path("line", 10.0, ["running"], None)))
+    _, ground = play(driver, 60)
+    driver.set_wish(Wish(path=shape_path("line", 10.0, ["walking"], None)))
+    walking = shares(play(driver, 12, ground, 60)[0], tiny_model, "walking")
+    assert walking == pytest.approx([min(1.0, i / 10) for i in range(1, 13)])
+
+
+def test_a_stop_at_the_end_of_a_path_is_held(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model, "idle")
+    line = np.array([[0.0, 0.0], [0.0, 200.0]])
+    frames = {}
+    for stop in (0.0, 2.0):
+        driver.set_wish(Wish(path=make_path([PathPart(line, "walking", None, stop)])))
+        _, ground = play(driver, 1)
+        frames[stop] = 0
+        while driver.following is not None and frames[stop] < 600:
+            _, ground = play(driver, 1, ground, frames[stop] + 1)
+            frames[stop] += 1
+    assert frames[2.0] - frames[0.0] == pytest.approx(120, abs=20)
 
 
 def test_no_velocity_gives_no_trajectory(tiny_model: MotionModel) -> None:

@@ -253,13 +253,17 @@ def test_a_file_that_is_no_motion_is_not_shown(tiny_model: MotionModel, tmp_path
 
 @pytest.mark.parametrize(
     ("away", "seconds", "fits"),
-    [(10.0, 1.0, True), (10.01, 1.0, False), (5.5, 0.5, True), (5.51, 0.5, False)],
+    [(9.0, 1.0, True), (9.01, 1.0, False), (4.5, 0.5, True), (4.51, 0.5, False)],
 )
-def test_the_fastest_way_between_two_keys(away: float, seconds: float, fits: bool) -> None:
-    """9 m/s and a metre more, from the origin and from the key before."""
+@pytest.mark.parametrize("by_hand", [False, True])
+def test_the_fastest_way_between_two_keys(away: float, seconds: float, fits: bool, by_hand: bool) -> None:
+    """9 m/s, from the origin and from the key before; a hand may be a metre from the hips."""
     for start in (0.0, 3.0):
         before = [Key(start, position=np.zeros(2))] if start else []
-        keys = [*before, Key(start + seconds, position=np.array([0.0, 100.0 * away]))]
+        last = Key(start + seconds, position=np.array([0.0, 100.0 * away]))
+        if by_hand:
+            last = Key(last.seconds, joints={HAND: np.array([0.0, 150.0, 100.0 * (away + 1.0)])})
+        keys = [*before, last]
         if fits:
             assert len(check_keys(keys)) == len(keys)
         else:
@@ -278,6 +282,17 @@ def test_the_first_key_is_reached_from_the_clip_before(tiny_model: MotionModel) 
         else:
             with pytest.raises(ControlError, match="m from the one before"):
                 mk.synthesize("walking:1", keys=keys, init=far, model=tiny_model)
+
+
+def test_each_character_of_a_crowd_meets_the_keys_as_it_would_alone(
+    model: MotionModel, tmp_path: Path
+) -> None:
+    keys = read_keys(write(tmp_path, THREE[2] | {"time": 1.0}), model)
+    parts = parse_types("idle:0.5,walking:1")
+    crowd = synthesize(model, parts, SynthesisOptions(count=3, seed=5, keys=keys)).motions
+    alone = synthesize(model, parts, SynthesisOptions(seed=7, keys=keys)).motion
+    assert np.array_equal(crowd[2].motion.root_positions, alone.root_positions)
+    assert np.array_equal(crowd[2].motion.local_rotations, alone.local_rotations)
 
 
 def test_keys_of_bodies_with_other_legs_are_refused(model: MotionModel) -> None:

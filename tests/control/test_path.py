@@ -155,6 +155,14 @@ def test_stops_are_at_ends_of_parts(tmp_path: Path) -> None:
     assert np.bincount(path.part).tolist() == [101, 200]
 
 
+def test_unknown_words_beside_the_parts_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "way.json"
+    parts = [{"type": "walking", "points": [[0, 0], [0, 3]]}]
+    file.write_text(json.dumps({"parts": parts, "unit": "cm"}))
+    with pytest.raises(ControlError, match=r"way\.json: unknown field 'unit', expected parts"):
+        read_path(file)
+
+
 def test_json_may_be_a_bare_list(tmp_path: Path) -> None:
     assert len(read_path(write(tmp_path, json.dumps(GOOD["parts"]))).parts) == 2
 

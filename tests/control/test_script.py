@@ -38,12 +38,12 @@ def test_types_and_times(text: str, seconds: float | None, parts: list[tuple[str
         ("running,,idle", None, "expected type or type:seconds, found ''"),
         (":3", None, "expected type or type:seconds, found ':3'"),
         ("running:fast", None, "expected seconds after the colon, found 'running:fast'"),
-        ("running:0", None, "expected between 0 and 3600 seconds"),
-        ("running:-1", None, "expected between 0 and 3600 seconds"),
-        ("running:nan", None, "expected between 0 and 3600 seconds"),
-        ("running:inf", None, "expected between 0 and 3600 seconds"),
+        ("running:0", None, "expected more than 0 and at most 3600 seconds"),
+        ("running:-1", None, "expected more than 0 and at most 3600 seconds"),
+        ("running:nan", None, "expected more than 0 and at most 3600 seconds"),
+        ("running:inf", None, "expected more than 0 and at most 3600 seconds"),
         ("running:1:2", None, "expected seconds after the colon"),
-        ("running:5,idle", 4.0, "the parts alone take 5 s, more than the 4 s asked for"),
+        ("running:5,idle", 4.0, "the other parts take 5 of 4 s and leave none for idle"),
     ],
 )
 def test_what_is_no_list_of_types(text: str, seconds: float | None, complaint: str) -> None:

@@ -41,7 +41,7 @@ def test_the_range_is_that_of_the_recordings_and_a_tenth_more() -> None:
     assert recorded_speeds(clips[:1], 60.0) == pytest.approx((75.0, 125.0), rel=1e-4), "all alike"
 
 
-@pytest.mark.parametrize(("asked", "gone"), [(1.2, 120.0), (0.3, 90.0), (5.0, 165.0)])
+@pytest.mark.parametrize(("asked", "gone"), [(1.2, 120.0), (0.3, 90.0), (0.05, 90.0), (5.0, 165.0)])
 def test_a_gait_goes_as_its_recordings_do(model: MotionModel, asked: float, gone: float) -> None:
     assert part_speeds(model, line(asked)) == pytest.approx([gone], rel=1e-4)
     assert plan_route(model, line(asked)).speeds[50] == pytest.approx(gone, rel=1e-4)
@@ -61,6 +61,8 @@ def test_no_limits_without_a_gait_or_a_wish(model: MotionModel) -> None:
     assert part_speeds(model, line(None)) == pytest.approx([usual], rel=1e-4)
     assert part_speeds(model, line(5.0, "cartwheel")) == pytest.approx([500.0])
     assert other_speeds(model, line(5.0, "cartwheel")) == []
+    slow = "part 1: cartwheel goes at 0.20 m/s instead of 0.05: at least 0.2 m/s on a path"
+    assert other_speeds(model, line(0.05, "cartwheel")) == [slow]
     assert model.speed_range("idle") is None and model.speed_range("unknown") is None
 
 

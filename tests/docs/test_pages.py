@@ -10,6 +10,8 @@ from types import ModuleType
 
 import pytest
 
+import motionkit as mk
+
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
 SOURCE = ROOT / "src" / "motionkit"
@@ -46,6 +48,13 @@ def test_the_table_of_types_is_up_to_date() -> None:
     assert make_types.page_text() == make_types.PAGE.read_text("utf-8"), (
         "the types of docs/model-card.md are out of date: run python docs/make_types.py"
     )
+
+
+def test_the_speeds_of_gaits_are_those_of_the_model() -> None:
+    text = " ".join((ROOT / "docs" / "paths.md").read_text("utf-8").split())
+    ranges = (mk.load_model().speed_range(kind) for kind in ("walking", "b-walking", "running"))
+    walk, back, run = (f"{low / 100:.2f} to {high / 100:.2f}" for low, high in ranges)  # type: ignore[misc]
+    assert f"walks at {walk} m/s, backwards at {back}, and runs at {run}." in text
 
 
 def test_the_offsets_of_the_skeleton_are_measured(capsys: pytest.CaptureFixture[str]) -> None:

@@ -132,6 +132,7 @@ def test_told_times_are_taken_whatever_the_poses() -> None:
         (1, {}, "at least 2 clips"),
         (2, {"window": 9.0}, "expected at least the window of 9 s"),
         (2, {"at": [(99.0, 0.0)]}, "asked to join at 99 s"),
+        (2, {"at": [(0.5, 0.97)]}, r"asked to join at 0\.97 s, expected 0\.00 to 0\.95 s"),
         (2, {"at": [(1.0, 0.0), (1.0, 0.0)]}, "2 clips have 1 joins"),
         ("different", {}, "too different to join: "),
         ("short", {}, "expected at least 4 frames"),

@@ -485,6 +485,38 @@ def test_characters_bodies_and_noise(page: Page) -> None:
     )
 
 
+def test_who_is_left_stops_or_goes_on_dancing(page: Page) -> None:
+    page.keyboard.press("n")
+    page.wait_for_function("motionkit.mine.length === 2 && motionkit.characters.size === 2", timeout=PATIENCE)
+    page.evaluate(
+        """() => {
+          motionkit.wishes = [];
+          const ask = motionkit.link.ask.bind(motionkit.link);
+          motionkit.link.ask = (what, fields, counted) => {
+            if (what === "wish") motionkit.wishes.push([fields.character, fields.type, fields.velocity]);
+            return ask(what, fields, counted);
+          };
+        }"""
+    )
+    first, second = page.evaluate("motionkit.mine")
+    page.evaluate("motionkit.perform('dance-salsa')")
+    page.wait_for_function("motionkit.sent?.type === 'dance-salsa'", timeout=PATIENCE)
+    page.keyboard.press("Tab")
+    page.keyboard.down("w")
+    page.wait_for_function("motionkit.sent?.velocity?.some(Boolean)", timeout=PATIENCE)
+    page.keyboard.press("Tab")
+    page.keyboard.up("w")
+    assert page.evaluate("motionkit.chosen") == first
+    wishes = page.evaluate("motionkit.wishes")
+    assert [0, 0] == next(velocity for who, _, velocity in reversed(wishes) if who == second)
+    page.keyboard.press("Tab")
+    page.keyboard.press("Tab")
+    wait_frames(page, 20)
+    assert page.evaluate("motionkit.mode") == "dance-salsa" or any(
+        velocity and any(velocity) for who, _, velocity in page.evaluate("motionkit.wishes") if who == first
+    ), "it dances until it is steered"
+
+
 def test_garbage_from_the_server_does_no_harm(page: Page) -> None:
     page.evaluate(
         """() => {

@@ -226,6 +226,7 @@ def test_a_path_with_stops_is_made_of_parts(session: Session) -> None:
         ({"do": "perform", "type": "walkin"}, "did you mean 'walking'"),
         ({"do": "path", "points": [[0, 0], [0, 1]]}, "expected at least 4 cm"),
         ({"do": "path", "points": [[0, 0], [0, 60000]]}, "at most 50000 cm are allowed"),
+        ({"do": "path", "points": [[900000, 0], [900000, 100]]}, "at most 50000 cm are allowed"),
         ({"do": "path", "points": [[0, 0], [0, 100]], "type": "flying"}, "unknown motion type"),
         ({"do": "body", "body": "giant"}, "unknown character 'giant'"),
         ({"do": "add", "body": "giant"}, "unknown character 'giant'"),

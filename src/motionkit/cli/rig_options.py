@@ -195,11 +195,10 @@ class RigChoice:
             cyclic: the last frame of the motion equals its first.
             drawn: the motion before finishing, if known.
         """
-        if cyclic and self.rig is not None and (ik or self.clip):
-            from motionkit.editing.loop import changed_cycle, in_rounds
+        if cyclic and self.rig is not None:
+            from motionkit.editing.loop import cycle_on_rig
 
-            rounds = replace(self, clip=self.clip and in_rounds(self.clip, motion))
-            made = changed_cycle(motion, lambda repeated: rounds.on_rig(repeated, ik))
+            made = cycle_on_rig(motion, self.rig, ik, self.clip)
         else:
             made = self.on_rig(motion, ik, drawn)
         if self.rig is None:

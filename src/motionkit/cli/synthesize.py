@@ -95,8 +95,6 @@ def command(
     seconds = loop_wish(types, seconds) if loops else seconds
     length = loop_seconds(seconds) if loops else seconds
     request = synthesis_request(types, seconds=length, count=count, keys=keys_file or (), **making.words())
-    if loops and any(len(plan) > 1 for plan in request.plans):
-        raise click.UsageError("--loop takes one motion type, such as --types walking --loop")
     inputs = (*making.inputs, *((keys_file, *key_files(keys_file)) if keys_file else ()))
     outputs = output_options.files(request.name, inputs, request.options.count)
     announce(request.frames / request.model.fps, request.model.fps, request.options)

@@ -103,6 +103,8 @@ class Driver:
             wish = replace(wish, type=kind)
         if wish.path is not self.wish.path:
             path = wish.path
+            if path is not None and self.blend.target == PATH:
+                self.blend.restart()  # another path may be of another type
             self.follower = (
                 None if path is None else PathFollower(self.model, plan_path(self.model, path), self.choice)
             )
@@ -181,7 +183,7 @@ class Driver:
     def _follow(self, follower: PathFollower, frame: int, ground: Array) -> tuple[str, Controls]:
         """The type PATH and the controls of a path, which include the type weights."""
         controls = follower(frame, ground)
-        if follower.place.at_end:
+        if follower.finished:
             self.follower, self.wish = None, Wish()
         return PATH, controls
 

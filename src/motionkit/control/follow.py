@@ -19,7 +19,7 @@ from motionkit.control.plan import Plan, plan_path
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.speeds import acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, check_size, finished, unfinished
-from motionkit.errors import ControlError
+from motionkit.errors import ControlError, naming
 from motionkit.features.control import Controls
 from motionkit.finish.finish import Unfinished
 from motionkit.inference.noise import default_noise
@@ -157,7 +157,8 @@ def follow_path(
     body = model.moved_skeleton(options.character)
     begin = character_start(model, first, body, options.init)
     follower = PathFollower(model, plan, options.seed, begin.start_state.behind)
-    check_size(plan.seconds, model.fps, options)
+    with naming(f"a path of {path.length:.0f} cm", ControlError):
+        check_size(plan.seconds, model.fps, options)
     tangent = path.tangents[0]
     heading = math.atan2(*tangent) - follower.route.facings[0]
     place = np.array([[*path.points[0], heading]], np.float32)

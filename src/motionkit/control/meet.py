@@ -179,12 +179,30 @@ class KeyedController:
         self,
         model: MotionModel,
         base: Controller,
-        plan: Plan,
-        begin: CharacterStart,
+        plans: Sequence[Plan],
+        begins: Sequence[CharacterStart],
         share: float,
     ) -> None:
+        """Take a plan with keys and a start for each character; share as for KeyedControls."""
+        self.base = base
+        self.keyed = [
+            KeyedControls(model, plan, begin, share) for plan, begin in zip(plans, begins, strict=True)
+        ]
+
+    def __call__(self, frame: int, ground: Array) -> Controls:
+        controls = self.base(frame, ground)
+        rows = [slice(i, i + 1) for i in range(len(self.keyed))]
+        return Controls.concatenated([
+            keyed(controls.at(row), frame, ground[row]) for keyed, row in zip(self.keyed, rows, strict=True)
+        ])  # fmt: skip
+
+
+class KeyedControls:
+    """Adds the poses and places of keys to the controls of one character."""
+
+    def __init__(self, model: MotionModel, plan: Plan, begin: CharacterStart, share: float) -> None:
         """Take a plan with keys; share is the leg length relative to that of the default body."""
-        self.model, self.base, keys = model, base, plan.keys
+        self.model, keys = model, plan.keys
         self.path = planned_path(keys, begin.start.ground[0], model.fps, share)
         self.stretches = matched_stretches(model, keys, begin, plan.track, self.path)
         if self.path is not None:
@@ -194,8 +212,8 @@ class KeyedController:
         poses = [(round(key.seconds * model.fps), key.pose.embedding) for key in keys if key.pose is not None]
         self.poses = [pose for pose in poses if pose[0] not in met]
 
-    def __call__(self, frame: int, ground: Array) -> Controls:
-        controls = self.base(frame, ground)
+    def __call__(self, controls: Controls, frame: int, ground: Array) -> Controls:
+        """Return controls (1, ...) with the keys added, for a body at ground (1, 3)."""
         if self.path is not None and frame < len(self.path):
             controls = self._on_path(controls, frame, ground)
         if not self.model.uses_references:

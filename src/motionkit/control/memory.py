@@ -120,12 +120,17 @@ class TypeBlend:
         kind is empty if the goal itself blends the types, as on a path.
         """
         if kind != self.target:
-            self.before, self.target, self.blended = self.weights, kind, 0
+            self.target = kind
+            self.restart()
         self.blended += 1
         share = min(1.0, self.blended / max(1, self.frames))
         self.weights = self.before + share * (goal - self.before)
         self.type = kind or self.model.type_names[int(goal.argmax())]
         return self.weights
+
+    def restart(self) -> None:
+        """Begin a blend from the present weights."""
+        self.before, self.blended = self.weights, 0
 
 
 @dataclass(frozen=True)

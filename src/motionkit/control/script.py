@@ -48,7 +48,7 @@ def parse_types(
         share = (seconds - timed_seconds) / len(free)
         if share <= 0:
             raise ControlError(
-                f"the parts alone take {timed_seconds:g} s, more than the {seconds:g} s asked for"
+                f"the other parts take {timed_seconds:g} of {seconds:g} s and leave none for {free[0]}"
             )
     elif seconds is not None:
         # Every part has a time: stretch all to the total.
@@ -69,5 +69,5 @@ def _seconds(text: str, word: str) -> float:
     except ValueError:
         raise ControlError(f"expected seconds after the colon, found {word!r}") from None
     if not 0 < value <= MAX_SECONDS:
-        raise ControlError(f"expected between 0 and {MAX_SECONDS:g} seconds, found {word!r}")
+        raise ControlError(f"expected more than 0 and at most {MAX_SECONDS:g} seconds, found {word!r}")
     return value

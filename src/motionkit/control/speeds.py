@@ -88,14 +88,15 @@ def check_speeds(model: MotionModel, path: Path2D) -> None:
 def _changed(model: MotionModel, path: Path2D) -> Iterator[tuple[int, str, float, float]]:
     """Number, type, requested and actual speed (cm/s) of each part where the two differ."""
     for number, (part, gone) in enumerate(zip(path.parts, part_speeds(model, path), strict=True), 1):
-        requested = gone if part.speed is None else max(part.speed, PROFILE.slowest)
+        requested = gone if part.speed is None else part.speed
         if requested != gone:
             yield number, part.type, requested, float(gone)
 
 
 def _recorded(model: MotionModel, kind: str) -> str:
     span = model.speed_range(kind)
-    assert span is not None, "only types with recorded speeds have limits"
+    if span is None:
+        return f"at least {PROFILE.slowest / METRE:g} m/s on a path"
     return f"{span[0] / METRE:.2f} to {span[1] / METRE:.2f} m/s by its recordings"
 
 

@@ -46,6 +46,7 @@ class Synthesis:
         types: the planned parts.
         raw: the motion before finishing, if options.raw is set.
         unfinished: the motion before finishing, with its contacts, to finish it on a rig instead; None with keys.
+        cyclic: whether the motion is a closed cycle (mk.loop), which stays closed on a rig.
     """
 
     motion: Motion
@@ -53,6 +54,7 @@ class Synthesis:
     types: tuple[TypePart, ...]
     raw: Motion | None = None
     unfinished: Unfinished | None = None
+    cyclic: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,9 +144,10 @@ def synthesize(
         share = model.body_scale(names[0])
         if any(model.body_scale(name) != share for name in names[: options.count]):
             raise ControlError("keys take bodies with legs of one length; make the motions one by one")
-        check_keys(options.keys, share * starts[0].start.ground[0, :2])
-        keyed = plan_keys(plans[0], options.keys)
-        controller = KeyedController(model, controller, keyed, starts[0], share)
+        for each in starts:
+            check_keys(options.keys, share * each.start.ground[0, :2])
+        keyed = [plan_keys(plan, options.keys) for plan in plans]
+        controller = KeyedController(model, controller, keyed, starts, share)
     limits = [acceleration_limit(model, [part.type for part in plan.parts]) for plan in plans]
     started = time.perf_counter()
     rollout = run(state, max(len(plan.track) for plan in plans), controller, progress)

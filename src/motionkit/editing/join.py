@@ -258,15 +258,18 @@ def _requested_frames(
 ) -> tuple[int, int]:
     """The frames of given times, for which there must be a frame before and after."""
     out = []
-    for clip, seconds, name, least in ((left, at[0], words[0], start + 2), (entered, at[1], words[1], 0)):
-        frame, frames = round(seconds * clip.motion.fps), len(clip.motion)
-        if not least <= frame < frames:
+    for clip, seconds, name, least, after in (
+        (left, at[0], words[0], start + 2, 0),
+        (entered, at[1], words[1], 0, 2),
+    ):
+        frame, last = round(seconds * clip.motion.fps), len(clip.motion) - 1 - after
+        if not least <= frame <= last:
             raise MotionkitError(
                 f"{name}: asked to join at {seconds:g} s, expected {least / clip.motion.fps:.2f} to "
-                f"{(frames - 1) / clip.motion.fps:.2f} s"
+                f"{last / clip.motion.fps:.2f} s"
             )
         out.append(frame)
-    return out[0], min(max(out[1], 1), len(entered.motion) - 3)
+    return out[0], max(out[1], 1)
 
 
 def _best_frames(

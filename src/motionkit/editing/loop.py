@@ -7,7 +7,8 @@ within a fraction of a second on both sides.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,7 @@ from motionkit.rig.upright import Upright
 
 if TYPE_CHECKING:
     from motionkit.control.synthesize import SynthesisResult
+    from motionkit.rig.rig import Rig
 
 SHORTEST = 0.4  # s, shortest cycle; half a step never looks like a cycle
 COARSE = 1200  # most frames in the first search; the second search refines the result at the full rate
@@ -170,12 +172,13 @@ def loop_seconds(wish: float | None) -> float:
 
 
 def find_loops(
-    make: Callable[[int], SynthesisResult], seconds: float | None = None
+    make: Callable[[int], SynthesisResult], kinds: Sequence[str], seconds: float | None = None
 ) -> tuple[SynthesisResult, list[Loop]]:
     """The best cycle of each synthesized motion, closed and moved to the origin.
 
     Args:
         make: synthesizes the motions at a multiple of their usual length; called again with more if nothing repeats.
+        kinds: their types, which motions take in turn; before a performance they stand.
         seconds: length of the cycle, as in make_loop.
 
     Returns:
@@ -197,11 +200,33 @@ def find_loops(
         raise MotionkitError(f"{fault}; try another --seed, or --seconds")
     motions = tuple(
         replace(
-            one, motion=cycle.motion, types=(TypePart(one.types[0].type, cycle.seconds),), unfinished=None
+            one,
+            motion=cycle.motion,
+            contacts=one.contacts[_rows(cycle, len(one.motion), len(one.contacts))],
+            types=(TypePart(kind, cycle.seconds),),
+            unfinished=None,
+            cyclic=True,
         )
-        for one, cycle in zip(result.motions, cycles, strict=True)
+        for one, cycle, kind in zip(result.motions, cycles, itertools.cycle(kinds), strict=False)
     )
     return replace(result, motions=motions), cycles
+
+
+def _rows(cycle: Loop, frames: int, rows: int) -> Array:
+    """The row of each frame of a cycle in an array of a number of rows beside the frames that it was taken from."""
+    steps = cycle.end - cycle.start
+    taken = cycle.start + np.arange(len(cycle.motion)) % steps
+    return np.rint(taken * (rows - 1) / max(frames - 1, 1)).astype(np.int64)
+
+
+def cycle_on_rig(cycle: Motion, rig: Rig, ik: bool, clip: Motion | None = None) -> Motion:
+    """A closed cycle from the origin on the skeleton of a rig, closed again; arguments as for finish.on_rig.on_rig."""
+    from motionkit.finish.on_rig import on_rig
+
+    if not ik and clip is None:
+        return on_rig(cycle, rig, ik)
+    rounds = None if clip is None else in_rounds(clip, cycle)
+    return changed_cycle(cycle, lambda repeated: on_rig(repeated, rig, ik, rounds))
 
 
 def changed_cycle(cycle: Motion, change: Callable[[Motion], Motion]) -> Motion:

@@ -76,9 +76,13 @@ class Character:
         points: list[tuple[float, float]],
         kind: str | None,
         speed: float | None,
-        stops: Sequence[tuple[int, float]] = (),
+        stops: Sequence[tuple[int, float]],
+        longest: float,
     ) -> None:
-        """Follow a drawn path, with stops (point index, seconds); raises ControlError if it is invalid."""
+        """Follow a drawn path, with stops (point index, seconds); raises ControlError if it is invalid.
+
+        longest is the most in cm that the path may have, with the way to its beginning.
+        """
         if stops and stops[-1][0] >= len(points):
             raise ControlError(f"expected stops at points 1 to {len(points) - 1}, found {stops[-1][0]}")
         x, z = self.stream.ground[0, :2].tolist()
@@ -87,6 +91,9 @@ class Character:
             kind = steered_type(self.model, (0.0, 100.0 if speed is None else speed), None)
         ends = [(len(start) + number, seconds) for number, seconds in stops]
         points = start + points
+        size = sum(map(math.dist, points, points[1:]))
+        if size > longest:
+            raise ControlError(f"the path is {size:.0f} cm long, at most {longest:.0f} cm are allowed")
         if not ends or ends[-1][0] < len(points) - 1:
             ends.append((len(points) - 1, 0.0))
         begins = [0, *(number + 1 for number, _ in ends)]
@@ -253,8 +260,8 @@ class Session:
             case "perform":
                 character.driver.perform(fields["type"], fields["seconds"], self.number)
             case "path":
-                self._check_path(fields["points"])
-                character.follow(fields["points"], fields["type"], fields["speed"], fields["stops"])
+                way = {name: fields[name] for name in ("points", "speed", "stops")}
+                character.follow(**way, kind=fields["type"], longest=self.limits.path_cm)
             case "remove":
                 self._free(character)
             case "body":
@@ -273,14 +280,6 @@ class Session:
         character.seq = fields.get("seq", character.seq)
         return None
 
-    def _check_path(self, points: list[tuple[float, float]]) -> None:
-        steps = np.diff(np.array(points), axis=0)
-        length = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-        if length > self.limits.path_cm:
-            raise ControlError(
-                f"the path is {length:.0f} cm long, at most {self.limits.path_cm:.0f} cm are allowed"
-            )
-
     def _record(self, character: Character, on: bool, format: str | None) -> Recorded | None:
         if on:
             if character.recorder is not None:
@@ -290,7 +289,6 @@ class Session:
             character.recorder = Recorder(skeleton, self.model.fps, most, format)
             return None
         if character.recorder is None or not character.recorder.frames:
-            character.recorder = None
             raise ControlError(f"nothing was recorded of character {character.id}")
         recorded = self._end_recording(character)
         return replace(recorded, format=format or recorded.format)

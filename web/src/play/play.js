@@ -74,7 +74,7 @@ export class Play {
   #hello(hello) {
     for (const id of [...this.characters.keys()]) this.#remove(id);
     if (this.hello) this.rigs.clear(); // the server may have changed
-    Object.assign(this, { hello, chosen: hello.character, waiting: [], sent: null });
+    Object.assign(this, { hello, chosen: hello.character, waiting: [], sent: null, left: new Map() });
     this.behind = null;
     this.#pace();
     this.#forgetPath();
@@ -311,11 +311,13 @@ export class Play {
     const type = this.hello.types.find((one) => one.name === name);
     if (!type || this.chosen === null) return;
     this.touched ??= performance.now();
-    this.#forgetPath();
-    if (type.seconds > 0) {
+    if (type.seconds > 0) { // a path goes on after it
       this.#setMode(null);
       this.#ask("perform", { character: this.chosen, type: name });
-    } else this.#setMode(this.mode === name ? null : name);
+      return;
+    }
+    this.#forgetPath();
+    this.#setMode(this.mode === name ? null : name);
   }
 
   #setMode(name) {
@@ -325,9 +327,15 @@ export class Play {
   }
 
   choose(id) {
-    if (!this.mine.includes(id)) return;
-    Object.assign(this, { chosen: id, sent: null });
-    this.#setMode(null);
+    if (!this.mine.includes(id) || id === this.chosen) return;
+    if (this.sent?.velocity?.some(Boolean)) { // keys steer the other one from now on
+      this.sent = { velocity: [0, 0], facing: null, type: null, character: this.chosen };
+      this.#ask("wish", this.sent);
+    }
+    this.left.set(this.chosen, { sent: this.sent, mode: this.mode }); // it goes on with its dance or path
+    const { sent, mode } = this.left.get(id) ?? { sent: null, mode: null };
+    Object.assign(this, { chosen: id, sent });
+    this.#setMode(mode);
     this.#who();
   }
 
@@ -340,7 +348,7 @@ export class Play {
     this.touched ??= performance.now();
     this.watch();
     this.#ask("path", {
-      character: this.chosen, points: kept.map(([x, z]) => [x / CM, z / CM]), type: this.pathType?.value || null,
+      character: this.chosen, points: kept.map((point) => point.map(tenths)), type: this.pathType?.value || null,
       stops: [...numbers].sort((a, b) => a - b).map((at) => [at, STOP]),
     });
   }
@@ -698,6 +706,9 @@ export class Play {
     this.typeButtons.forEach((node, name) => node.classList.toggle("shown", name === type && this.own.now.performing));
   }
 }
+
+// Metres as tenths of centimetres, because a message may have so many bytes.
+const tenths = (metres) => Math.round((10 * metres) / CM) / 10;
 
 // Whether a wish differs from the last one sent.
 function changed(sent, wish, character) {
