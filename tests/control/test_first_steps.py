@@ -9,7 +9,7 @@ from model_changes import with_clips
 from motionkit.control.drive import Driver, Wish, together
 from motionkit.control.follow import follow_path
 from motionkit.control.memory import FIRST_STEPS, FirstSteps
-from motionkit.control.path import PathPart, make_path
+from motionkit.control.path import PathPart, make_path, shape_path
 from motionkit.control.recording_choice import ENTRY, RecordingChoice, few_clips
 from motionkit.control.synthesize import SynthesisOptions
 from motionkit.features.control import Controls
@@ -35,6 +35,19 @@ def test_a_gait_is_shown_recordings_for_its_first_steps_from_standing(tiny_model
     walked = gains(driver, Wish((0.0, 120.0), type="walking"), FIRST_STEPS + 10, 30)
     assert walked == [pytest.approx(gain)] * FIRST_STEPS + [0.0] * 10
     assert gains(driver, Wish((0.0, 300.0), type="running"), 10, 200) == [0.0] * 10, "it goes already"
+
+
+def test_a_path_from_standing_begins_with_first_steps_too(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    gains(driver, Wish((0.0, 0.0)), 30, 0)
+    gain = tiny_model.types["walking"].preset.reference_gain
+    path = Wish(path=shape_path("line", 10.0, ["walking"], 1.2))
+    assert gains(driver, path, 10, 30) == [pytest.approx(gain)] * 10
+    assert driver.follower is not None and driver.follower.route.speeds[0] == pytest.approx(60.0)
+    going = Driver(tiny_model)
+    gains(going, Wish((0.0, 120.0), type="walking"), FIRST_STEPS + 10, 0)
+    assert gains(going, path, 10, 100) == [0.0] * 10, "it goes already"
+    assert going.follower is not None and going.follower.route.speeds[0] == pytest.approx(120.0)
 
 
 def test_another_gait_ends_the_first_steps(tiny_model: MotionModel) -> None:

@@ -105,9 +105,8 @@ class Driver:
             path = wish.path
             if path is not None and self.blend.target == PATH:
                 self.blend.restart()  # another path may be of another type
-            self.follower = (
-                None if path is None else PathFollower(self.model, plan_path(self.model, path), self.choice)
-            )
+            plan = None if path is None else plan_path(self.model, path, self._stands)
+            self.follower = None if plan is None else PathFollower(self.model, plan, self.choice)
         self.wish = wish
 
     def perform(self, kind: str, seconds: float = DEFAULT_SECONDS, choice: int = 0) -> None:
@@ -147,6 +146,11 @@ class Driver:
             kind, controls = self._show(performance, frame, kind, controls)
         return replace(controls, type_weights=self.blend(kind, controls.type_weights[0])[None])
 
+    @property
+    def _stands(self) -> bool:
+        """Whether the body stood at the last frame."""
+        return self.blend.target != PATH and self.model.kind(self.blend.target) is MotionKind.STANCE
+
     def _repeated(self) -> Request | None:
         """The performance, strike or jump that the wish repeats, if any."""
         held = self.wish.type
@@ -166,8 +170,7 @@ class Driver:
             return kind, self._recorded(kind, trajectory)
         self._played = ""
         controls = replace(self._free(kind), trajectory=trajectory, slip_correction=settled)
-        stood = self.model.kind(self.blend.target) is MotionKind.STANCE
-        if stood and self.model.kind(kind) is MotionKind.GAIT:
+        if self._stands and self.model.kind(kind) is MotionKind.GAIT:
             self.first_steps.begin(kind)
         if self.first_steps.takes(kind):
             controls = self.first_steps.reference(controls, trajectory)

@@ -45,7 +45,7 @@ class _Path(Structure):
         *((name, c_double) for name in ("arc", "least")), ("ahead", c_double * len(TRAJECTORY_OFFSETS)),
         *((name, c_void_p) for name in "parts points tangents part speeds track weights".split()),
         *((name, c_int32) for name in "count part_count type_count blend stand".split()),
-        *((name, c_int32) for name in "stop stood present goes_on at_end".split()),
+        *((name, c_int32) for name in "stands stop stood present goes_on finished".split()),
         ("trajectory", c_float * TRAJECTORY_COUNT),
     )  # fmt: skip
 
@@ -82,8 +82,8 @@ def path_words(model: MotionModel) -> _Path:
     )  # fmt: skip
 
 
-def plan_route(model: MotionModel, path: Path2D) -> Route:
-    """Plan speeds and types along a path; raises ControlError for an unknown type."""
+def plan_route(model: MotionModel, path: Path2D, stands: bool = False) -> Route:
+    """Plan speeds and types along a path, for a body that stands before or not; raises ControlError for an unknown type."""
     parts = (Part * len(path.parts))(
         *(
             Part(
@@ -95,6 +95,7 @@ def plan_route(model: MotionModel, path: Path2D) -> Route:
     words, count = path_words(model), len(path.points)
     speeds, track = np.zeros(count), np.zeros(count, np.int32)
     words.count, words.part_count, words.parts = count, len(parts), addressof(parts)
+    words.stands = stands
     for name in ("points", "tangents", "part"):
         setattr(words, name, getattr(path, name).ctypes.data)
     words.speeds, words.track = speeds.ctypes.data, track.ctypes.data
@@ -121,12 +122,7 @@ class PathPlace:
     @property
     def finished(self) -> bool:
         """Whether the character has reached the end and no stop is left."""
-        return self.at_end and self.words.stop == self.words.part_count
-
-    @property
-    def at_end(self) -> bool:
-        """Whether the character has reached the end of the path."""
-        return bool(self.words.at_end)
+        return bool(self.words.finished)
 
     @property
     def share(self) -> float:

@@ -121,13 +121,13 @@ def plan_keys(plan: Plan, keys: tuple[Key, ...]) -> Plan:
     return replace(plan, keys=keys)
 
 
-def plan_path(model: MotionModel, path: Path2D) -> Plan:
-    """Plan a path: the type and the speed at each of its points.
+def plan_path(model: MotionModel, path: Path2D, stands: bool = False) -> Plan:
+    """Plan a path, for a body that stands before or not: the type and the speed at each of its points.
 
     Raises:
         ControlError: for an unknown type.
     """
-    route = plan_route(model, path)
+    route = plan_route(model, path, stands)
     edges = np.searchsorted(path.part, np.arange(len(path.parts) + 1)).tolist()
     seconds = SPACING / route.speeds
     segments = [

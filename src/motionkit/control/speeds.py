@@ -27,6 +27,7 @@ class ProfileSettings:
     acceleration: float = 220.0  # cm/s^2; 98 % of the frames of recorded runs brake less
     beside_turn: float = 8.0  # points of the path to both sides between which a turn is measured
     too_slow: float = 0.99  # share of the slowest recorded speed of a run, below which a body walks
+    from_rest: float = 0.5  # share of the speed of a path at which a standing body begins it
 
 
 PROFILE = ProfileSettings()

@@ -8,7 +8,7 @@
 #include <stdint.h>
 
 /* Raised with every change of a struct or of what a function does; steering_kernel.py refuses other libraries. */
-int64_t steering_kernel_version(void) { return 1; }
+int64_t steering_kernel_version(void) { return 2; }
 
 #define WHOLE_TURN 6.283185307179586
 #define SAMPLES 6      /* of a trajectory */
@@ -299,7 +299,7 @@ double steer(Steering *s, int32_t kind, double x, double z, double facing) {
 #define BLEND_SAMPLES 16 /* points at which types are sampled for their blend; chosen */
 
 typedef struct {
-    double usual, slowest, creep, acceleration, beside_turn, too_slow;
+    double usual, slowest, creep, acceleration, beside_turn, too_slow, from_rest;
 } Profile;
 
 typedef struct {
@@ -328,8 +328,9 @@ typedef struct {
     float *weights;                         /* (type_count,) of the frame */
     int32_t count, part_count, type_count;  /* N */
     int32_t blend, stand;                   /* frames of a change of type; type of standing at stops, or -1 */
+    int32_t stands;                         /* whether the body stands before the path */
     int32_t stop, stood;                    /* part whose stop comes next, and frames since it was reached, or -1 */
-    int32_t present, goes_on, at_end;       /* part of the frame; whether a stop ends, and whether the path does */
+    int32_t present, goes_on, finished;     /* part of the frame; whether a stop ends, and whether the path does */
     float trajectory[4 * SAMPLES];          /* as of Steering */
 } Path;
 
@@ -420,7 +421,7 @@ static int32_t next_stop(const Path *p, int32_t part) {
 }
 
 /* Fills speeds, track and the parts, and puts the character at the beginning. The path begins at full speed, because
-   start poses are in motion. */
+   start poses are in motion; only a body that stands begins more slowly. */
 void plan_path(const Steering *s, Path *p) {
     const int32_t walk = steered_type(s, 0, p->profile.usual, 0);
     for (int32_t n = 0; n < p->part_count; n++) {
@@ -437,6 +438,7 @@ void plan_path(const Steering *s, Path *p) {
     for (int32_t n = 1; n < p->part_count; n++) p->parts[n].end = fmax(p->parts[n].end, p->parts[n - 1].end);
     for (int32_t n = next_stop(p, 0); n < p->part_count; n = next_stop(p, n + 1))
         p->speeds[nearest_point(p, p->parts[n].end)] = p->profile.creep;
+    if (p->stands) p->speeds[0] *= p->profile.from_rest;
     limit_growth(p, 0, 1);
     limit_growth(p, p->count - 1, -1);
     for (int32_t n = 0; n < p->count; n++) {
@@ -547,7 +549,8 @@ double follow(Path *p, double x, double z, double heading) {
     }
     path_weights(p, p->arc, stands, p->weights);
     p->present = p->part[nearest_point(p, p->arc)];
-    p->goes_on = stood && p->stood < 0;
-    p->at_end = p->arc >= (p->count - 2) * SPACING;
+    p->goes_on = (stood && p->stood < 0) || p->stands;
+    p->stands = 0;
+    p->finished = p->arc >= (p->count - 2) * SPACING && p->stop == p->part_count;
     return stands;
 }

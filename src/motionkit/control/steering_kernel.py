@@ -11,7 +11,7 @@ from typing import Any
 
 from motionkit.native import load_library
 
-VERSION = 1  # of steering_kernel.c
+VERSION = 2  # of steering_kernel.c
 
 
 @cache

@@ -28,7 +28,7 @@ export class Driver {
   /** Follows a path (arguments as for Follower); the character stands at its end. */
   follow(path) {
     this.#known(path.type);
-    this.follower = new Follower(this.body, path, this.choice);
+    this.follower = new Follower(this.body, path, this.#stands, this.choice);
     this.wish = NOTHING;
   }
 
@@ -75,9 +75,12 @@ export class Driver {
     const { trajectory, slip } = body.steer(kind, velocity, facing);
     if (!model.types[kind].steered) return this.#recorded(kind, trajectory);
     this.played = -1;
-    const stood = this.target !== null && model.types[this.target].stands;
-    if (stood && !model.types[kind].stands) this.firstSteps.begin(kind, Math.hypot(...velocity));
+    if (this.#stands && !model.types[kind].stands) this.firstSteps.begin(kind, Math.hypot(...velocity));
     return [kind, this.firstSteps.reference(kind, { ...free(model, kind), trajectory, slip })];
+  }
+
+  get #stands() {
+    return this.target !== null && this.model.types[this.target].stands;
   }
 
   // The controls of a type with reference recordings.

@@ -9,19 +9,20 @@ export class Follower {
   /**
    * @param {import("./kernel.js").Character} body whose memory keeps one path
    * @param {{points: number[][], type: string, speed: number | null, stops: number[][]}} request points [x, z] in cm, stops [point index, seconds]
+   * @param {boolean} stands whether the body stands before
    * @param {number} choice chooses among recordings
    */
-  constructor(body, { points, type, speed, stops }, choice = 0) {
+  constructor(body, { points, type, speed, stops }, stands, choice = 0) {
     const { model, route } = body;
     const number = typeNumber(model, type);
     Object.assign(this, { model, run: body.kernel.run, at: route, type: number, known: model.types[number], began: false });
     Object.assign(this, { player: new Player(model, choice, 0), firstSteps: new FirstSteps(model, choice) });
     const end = points.length - 1;
-    this.#plan(body, points, stops.at(-1)?.[0] === end ? stops : [...stops, [end, 0]], speed ?? NaN);
+    this.#plan(body, points, stops.at(-1)?.[0] === end ? stops : [...stops, [end, 0]], speed ?? NaN, stands);
   }
 
   // Writes a path into the kernels' memory and plans it; a part ends at each stop.
-  #plan({ steering, kernel, model, route: at }, corners, stops, speed) {
+  #plan({ steering, kernel, model, route: at }, corners, stops, speed, stands) {
     const { run } = kernel;
     const { addresses, fields: { path: fields } } = model;
     const { buffer } = run.memory;
@@ -51,6 +52,7 @@ export class Follower {
     this.weights = put("weights", Float32Array, model.types.length);
     words.setInt32(fields.count, count, true);
     words.setInt32(fields.part_count, stops.length, true);
+    words.setInt32(fields.stands, Number(stands), true);
     run.even_points(line.byteOffset, parts.byteOffset, stops.length, count, points, tangents, part);
     run.plan_path(steering, at);
     this.trajectory = new Float32Array(buffer, at + fields.trajectory, 24);
