@@ -7,7 +7,7 @@ import pytest
 
 from model_changes import with_clips
 from motionkit.control.drive import Driver, Wish, together
-from motionkit.control.follow import follow_path
+from motionkit.control.follow import GUIDED, follow_path
 from motionkit.control.memory import FIRST_STEPS, FirstSteps
 from motionkit.control.path import PathPart, make_path, shape_path
 from motionkit.control.recording_choice import ENTRY, RecordingChoice, few_clips
@@ -46,7 +46,7 @@ def test_a_path_from_standing_begins_with_first_steps_too(tiny_model: MotionMode
     assert driver.follower is not None and driver.follower.route.speeds[0] == pytest.approx(60.0)
     going = Driver(tiny_model)
     gains(going, Wish((0.0, 120.0), type="walking"), FIRST_STEPS + 10, 0)
-    assert gains(going, path, 10, 100) == [0.0] * 10, "it goes already"
+    assert gains(going, path, 10, 100) == [pytest.approx(GUIDED * gain)] * 10, "it goes already"
     assert going.follower is not None and going.follower.route.speeds[0] == pytest.approx(120.0)
 
 

@@ -83,7 +83,7 @@ def path_words(model: MotionModel) -> _Path:
 
 
 def plan_route(model: MotionModel, path: Path2D, stands: bool = False) -> Route:
-    """Plan speeds and types along a path, for a body that stands before or not; raises ControlError for an unknown type."""
+    """Plan speeds and types along a path; stands: the body stands before. Raises ControlError for an unknown type."""
     parts = (Part * len(path.parts))(
         *(
             Part(
