@@ -17,15 +17,18 @@ HEAD = """## Types
 
 The table is read from the model file by `python docs/make_types.py`.
 
-- **kind**: speed alone steers *stands* and *gait*, on paths and by keys, without recordings; a *performance* is shown
-  from beginning to end; *strikes* have a phase for each strike or jump; all others go on for as long as asked.
+- **type**: `b-walking` is walking backwards; `jumping-b`, `-l`, `-r` are jumps on both legs, the left and the right one;
+  `kicking` is karate, `w-kicking` a jump kick; `twist` is a jump with a twist, `duck` a run under something; `exercise`
+  is jumping jacks, squats and stretches, `martial-arts` karate kata.
+- **kind**: *stands* and *gait* are steered by speed; a *performance* is shown from beginning to end; *strikes* are
+  several punches, kicks or jumps, each with a phase; all others are *continuous* and last as long as asked.
 - **speed** over the ground in cm/s; **seconds** of one performance, strike or jump.
 - **recordings**: seconds of reference recordings in the file; **gain** on them
   ([rollout.md](rollout.md#what-the-network-sees)).
-- **blend**: share of the last velocity that is kept; **noise**: factor on the temperature.
-- **slip**: share of the [root-slip correction](rollout.md#root-slip-correction).
+- **velocity blend**: share of the last velocity that is kept; **noise**: factor on the temperature.
+- **slip correction**: share of the [root-slip correction](rollout.md#root-slip-correction).
 
-| type | kind | speed | seconds | recordings | gain | blend | noise | slip |
+| type | kind | speed | seconds | recordings | gain | velocity blend | noise | slip correction |
 |---|---|---|---|---|---|---|---|---|
 """
 
@@ -38,7 +41,7 @@ def kind_of(known: MotionType) -> str:
         return "gait"
     if known.kind is MotionKind.PERFORMANCE:
         return "performance"
-    return "strikes" if known.kind is MotionKind.EVENTS else "goes on"
+    return "strikes" if known.kind is MotionKind.EVENTS else "continuous"
 
 
 def page_text() -> str:
@@ -47,7 +50,7 @@ def page_text() -> str:
     for name, known in model.types.items():
         recorded = sum(len(clip) for clip in known.reference_clips) / model.fps
         speed = known.gait.speed if known.gait else 0.0
-        length = f"{known.gait.cycle_seconds:.1f}" if known.gait and known.gait.cycle_seconds else ""
+        length = f"{seconds:.2f}" if (seconds := model.phase_seconds(name)) else ""
         preset = known.preset
         numbers = (preset.reference_gain, preset.velocity_blend, preset.noise_scale, preset.slip_correction)
         cells = [

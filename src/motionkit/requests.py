@@ -90,6 +90,16 @@ class SynthesisRequest:
         synthesize.check_size(min(lengths) / self.model.fps, self.model.fps, self.options)
         return max(lengths)
 
+    @property
+    def cut_short(self) -> list[str]:
+        """A line for each type that has less time than its flip, strike or jump takes."""
+        parts = {part for plan in self.plans for part in plan}
+        return [
+            f"{part.type} takes {seconds:.2f} s, found {part.seconds:g} s, in which it is cut off"
+            for part in sorted(parts, key=lambda part: (part.type, part.seconds))
+            if part.seconds < (seconds := self.model.phase_seconds(part.type)) - 1e-6
+        ]
+
     def run(self, progress: Callable[[int], None] | None = None) -> SynthesisResult:
         """Synthesize; progress is called with the number of frames done."""
         return synthesize.synthesize(self.model, self.plans, self.options, progress)

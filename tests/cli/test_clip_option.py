@@ -106,6 +106,7 @@ def test_the_written_animation(motionkit, hero: Path, tmp_path: Path, tiny_model
     """Name and place beside the others; an avatar is asked for before any work; the input stays."""
     words = ("synthesize", "--types", "walking:0.3,idle:0.2", "--model", tiny_model_file, "--rig", "hero.glb")
     assert motionkit(*words, "-o", "a.glb").code == 0
+    assert motionkit(*words).code == 0 and len(parts(tmp_path / "walking-idle.glb")[1]["animations"]) == 3
     assert motionkit(*words, "-o", "b.glb", "--name", "my move", "--replace").code == 0
     names = [[one["name"] for one in parts(tmp_path / name)[1]["animations"]] for name in ("a.glb", "b.glb")]
     assert names == [["gait 180", "gait 120", "walking-idle"], ["my move"]]

@@ -61,7 +61,7 @@ def command(
 
     A gait goes no slower and no faster than its recordings look right, and the command says so.
     """
-    from motionkit.control.speeds import other_speeds, short_performances
+    from motionkit.control.speeds import doubtful_parts, other_speeds
     from motionkit.requests import PATH_ENDINGS, is_path_file, path_request
 
     is_file = is_path_file(path)
@@ -74,14 +74,15 @@ def command(
     request = path_request(path, types=types, **shape, **making.words())
     model, target = request.model, request.path
     name = f"{Path(path).stem}-{target.parts[0].type}"
-    outputs = output_options.files(name, (path if is_file else None, *making.inputs))
+    inputs = (path if is_file else None, *making.inputs)
+    outputs = output_options.files(name, inputs, ending=making.choice.ending)
     if target.length > FAR:
         metres = target.length / 100.0
         remark(
             f"the path is {metres:.0f} m long; paths are in metres: divide by 100 if yours is in centimetres"
         )
     announce(request.seconds, model.fps, request.options)
-    for line in other_speeds(model, target) + short_performances(model, target):
+    for line in other_speeds(model, target) + doubtful_parts(model, target):
         remark(line)
     with Stages() as show:
         result = request.run(show.share("following"))

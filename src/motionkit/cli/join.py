@@ -88,7 +88,7 @@ def command(
     output_options.check()
     files = [clip for place in clips for clip in clips_of(place)]
     title = clips[0].resolve().name if clips[0].is_dir() else clips[0].stem
-    outputs = output_options.files(f"{title}-joined", [*files, *choice.files])
+    outputs = output_options.files(f"{title}-joined", [*files, *choice.files], ending=choice.ending)
     chosen = list(zip(files, _named(files, animations), strict=True))
     sources = [read_clip(clip, name) for clip, name in chosen]
     rates = [source.motion.fps for source in sources]

@@ -119,12 +119,17 @@ class OutputOptions:
             )
 
     def files(
-        self, name: str, inputs: Iterable[str | Path | None], count: int = 1, also: Sequence[Path] = ()
+        self,
+        name: str,
+        inputs: Iterable[str | Path | None],
+        count: int = 1,
+        also: Sequence[Path] = (),
+        ending: str = ".bvh",
     ) -> Outputs:
         """The files to write; several are numbered. Checks that they can be written and overwrite no input.
 
         Args:
-            name: file name without -o.
+            name, ending: file name without -o.
             inputs: files to read; None entries are ignored.
             count: number of motions.
             also: other files to write.
@@ -147,7 +152,7 @@ class OutputOptions:
                 raise click.UsageError(
                     "a .vrm is an avatar: give one with --rig avatar.vrm, or write its animation as .vrma"
                 )
-        base = self.output or default_output(name, files=everything)
+        base = self.output or default_output(name, ending, everything)
         check_outputs([*everything(base), *also], inputs)
         page = base.with_suffix(".html") if self.view else None
         replaced = tuple(path for path in everything(base) if path.exists())

@@ -20,7 +20,6 @@ from motionkit.cli.synthesis_options import reference_option
 
 if TYPE_CHECKING:
     from motionkit.play.server import Addresses
-    from motionkit.rig.rig import Rig
 
 
 def _target(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, int] | None:
@@ -78,13 +77,6 @@ class Listening:
             remark("Ctrl-C stops the server")
         if not self.headless and not self.no_open:
             open_in_browser(addresses.url)
-
-
-def _usual_format(rig: Rig | None) -> str:
-    """The format of recordings that keeps what is steered."""
-    if rig is None or rig.character is None:
-        return "bvh"
-    return "vrm" if rig.name.lower().endswith(".vrm") else "glb"
 
 
 @click.command("play")
@@ -169,7 +161,7 @@ def command(
         not listening.headless,
         choice.rig,
         choice.clip,
-        listening.recording_format or _usual_format(choice.rig),
+        listening.recording_format or choice.ending[1:],
     )
     with _visible_log():
         try:

@@ -79,7 +79,7 @@ LAYOUT_CHOICES = ("sixd-root-1", "expmap-root-1")
 )
 @switch(
     "--test/--no-test",
-    "Hold out about a sixth of the clips of each type for testing; of a single clip, its mirror image.",
+    "Hold out 15 % of the files of each type for testing, at least one; of a single file, its mirror image.",
 )
 @json_option
 def command(

@@ -184,7 +184,7 @@ def command(
     choice = rigs.open()
     inputs = (source, rigs.source_rig, rigs.source_map, *choice.files)
     also = [rigs.save_map] if rigs.save_map else []
-    outputs = output_options.files(f"{source.stem}-on-{rigs.name}", inputs, also=also)
+    outputs = output_options.files(f"{source.stem}-on-{rigs.name}", inputs, also=also, ending=choice.ending)
     from motionkit.motion.bvh import bvh_to_motion
     from motionkit.rig.read_file import read_file
     from motionkit.view.figure_data import MotionView

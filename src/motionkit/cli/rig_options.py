@@ -169,6 +169,11 @@ class RigChoice:
         """The .glb or .vrm file that the rig is from, or None."""
         return None if self.rig is None else self.rig.character
 
+    @property
+    def ending(self) -> str:
+        """The usual ending of a file with the motion."""
+        return ".bvh" if self.rig is None else self.rig.ending
+
     def as_written(self) -> AbstractContextManager[None]:
         """Read the written motion within the block: on a rig, without what the user says of clips."""
         return nullcontext() if self.rig is None else as_found()

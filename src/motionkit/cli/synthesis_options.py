@@ -136,7 +136,7 @@ synthesis_options: Callable = together(
     option(
         "--character",
         default="default",
-        help="Body to move; a crowd (synthesize --count) takes several names, separated by commas, in turn.",
+        help="Body to move; synthesize takes several names, separated by commas, in turn.",
     ),
     click.option(
         "--init",

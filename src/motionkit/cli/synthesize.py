@@ -96,8 +96,11 @@ def command(
     length = loop_seconds(seconds) if loops else seconds
     request = synthesis_request(types, seconds=length, count=count, keys=keys_file or (), **making.words())
     inputs = (*making.inputs, *((keys_file, *key_files(keys_file)) if keys_file else ()))
-    outputs = output_options.files(request.name, inputs, request.options.count)
+    ending = making.choice.ending
+    outputs = output_options.files(request.name, inputs, request.options.count, ending=ending)
     announce(request.frames / request.model.fps, request.model.fps, request.options)
+    for line in request.cut_short:
+        remark(line)
     with Stages() as show:
         progress = show.count("synthesizing", None if loops else request.frames)
         result, cycles = request.loops(seconds, progress) if loops else (request.run(progress), [])

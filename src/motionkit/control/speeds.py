@@ -15,6 +15,7 @@ from motionkit.control.steering_kernel import doubles, steering_library
 from motionkit.errors import ControlError
 from motionkit.metrics.pace import PACE_SECONDS, ground_acceleration
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 
 
 @dataclass(frozen=True)
@@ -63,12 +64,14 @@ def other_speeds(model: MotionModel, path: Path2D) -> list[str]:
     ]
 
 
-def short_performances(model: MotionModel, path: Path2D) -> list[str]:
-    """A line for each part that takes less than half the time of its flip, jump or strike."""
+def doubtful_parts(model: MotionModel, path: Path2D) -> list[str]:
+    """A line for each part that has less than half the time of its flip, jump or strike, or whose body stands."""
     lines = []
     speeds, lengths = part_speeds(model, path), np.bincount(path.part, minlength=len(path.parts)) * SPACING
     for number, (part, speed, length) in enumerate(zip(path.parts, speeds, lengths, strict=True), 1):
         seconds = model.phase_seconds(part.type)
+        if model.kind(part.type) is MotionKind.STANCE:
+            lines.append(f"part {number}: {part.type} stands; on a path its body is dragged along")
         if float(length / speed) < SHORT * seconds:
             lines.append(
                 f"part {number}: {part.type} takes some {seconds * float(speed) / METRE:.1f} m, found "

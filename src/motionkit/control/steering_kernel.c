@@ -81,12 +81,12 @@ static int belongs(int64_t kind, int group) {
     return group == 3 || (kind != PERFORMANCE && kind != EVENTS);
 }
 
-/* How far a type is from a wish in speed and in facing. Speeds count as square roots, so that slow types have narrow
-   bands. */
+/* How far a type is from a wish in speed and, where it goes, in facing. Speeds count as square roots, so that slow types
+   have narrow bands. */
 static double misfit(const Choice *choice, const Type *type, double speed, double aside) {
     if (isnan(type->speed)) return INFINITY;
     const double off = fabs(sqrt(speed) - sqrt(type->speed));
-    if (speed < choice->stands_below) return off;
+    if (speed < choice->goes_from) return off;
     const double turned = fabs(nearest_turn(aside - type->facing)) + choice->backwards_share * fabs(type->facing);
     return off + choice->turn_cost * turned;
 }

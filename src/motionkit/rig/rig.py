@@ -66,6 +66,13 @@ class Rig:
         """cm per file unit of a body with canonical legs."""
         return leg_length(canonical_skeleton()) / self.leg
 
+    @property
+    def ending(self) -> str:
+        """The ending of files that keep what the rig's file has besides joints: ".vrm", ".glb" or ".bvh"."""
+        if self.character is None:
+            return ".bvh"
+        return ".vrm" if self.name.lower().endswith(".vrm") else ".glb"
+
     def same_rest(self, skeleton: Skeleton) -> bool:
         """Whether a skeleton has the same joints and the same rest pose."""
         near = _SAME_REST * self.leg
