@@ -17,9 +17,9 @@ HEAD = """## Types
 
 The table is read from the model file by `python docs/make_types.py`.
 
-- **type**: `b-walking` is walking backwards; `jumping-b`, `-l`, `-r` are jumps on both legs, the left and the right one;
-  `kicking` is karate, `w-kicking` a jump kick; `twist` is a jump with a twist, `duck` a run under something; `exercise`
-  is jumping jacks, squats and stretches, `martial-arts` karate kata.
+- **type**: `b-walking` is walking backwards; `jumping-b`, `-l`, `-r` are jumps on both legs, the left one, the right
+  one; `kicking` is karate, `w-kicking` a jump kick; `twist` is a jump with a twist, `duck` a run under something;
+  `exercise` is jumping jacks, squats and stretches, `martial-arts` karate kata.
 - **kind**: *stands* and *gait* are steered by speed; a *performance* is shown from beginning to end; *strikes* are
   several punches, kicks or jumps, each with a phase; all others are *continuous* and last as long as asked.
 - **speed** over the ground in cm/s; **seconds** of one performance, strike or jump.

@@ -102,6 +102,19 @@ def test_a_true_unit_changes_nothing(motionkit, hero: Path, tmp_path: Path) -> N
     assert np.abs(places[3] - places[1]).max() < 1e-3
 
 
+def test_a_file_of_motionkit_keeps_its_body_and_animations(motionkit, tmp_path: Path) -> None:
+    write_motion(tmp_path / "walk.bvh", make_walk(60))
+    assert motionkit("convert", "walk.bvh", "own.glb", "--body", "woman").code == 0
+    for command, target in (("trim", ("-o", "b.glb")), ("mirror", ("c.glb",))):
+        assert motionkit(command, "own.glb", *target).code == 0
+        made = parts(tmp_path / target[-1])[1]
+        assert len(made["animations"]) == 2 and made["meshes"] == parts(tmp_path / "own.glb")[1]["meshes"]
+    assert motionkit("convert", "own.glb", "other.glb", "--body", "heavy").code == 0
+    other = parts(tmp_path / "other.glb")[1]
+    assert len(other["animations"]) == 1 and other["accessors"] != parts(tmp_path / "own.glb")[1]["accessors"]
+    assert motionkit("convert", "own.glb", "ground.glb", "--root", "ground").code == 0, "it has another joint"
+
+
 def test_the_written_animation(motionkit, hero: Path, tmp_path: Path, tiny_model_file: Path) -> None:
     """Name and place beside the others; an avatar is asked for before any work; the input stays."""
     words = ("synthesize", "--types", "walking:0.3,idle:0.2", "--model", tiny_model_file, "--rig", "hero.glb")

@@ -214,12 +214,26 @@ def test_rigs_that_are_refused(place: Path) -> None:
         ("retarget", "walk.bvh", "--map", "walk.bvh"),
         ("retarget", "--rig", "my.bvh", "-o", "out.bvh"),
         ("retarget", "walk.bvh", "--rig", "my.bvh", "--scale", "-1"),
+        ("retarget", "walk.bvh", "--unit", "m", "--scale", "2"),
+        ("retarget", ".", "--save-map", "maps.json", "-o", "elsewhere"),
+        ("view", ".", "--poses", "5", "--format", "html", "-o", "elsewhere"),
         ("synthesize", "--types", "walking", "--from", "walk.bvh"),
         ("retarget", "walk.bvh", "--rig", "my.bvh", "-o", "-", "--json"),
     ],
 )
 def test_wrong_usage(place: Path, words: tuple[str, ...]) -> None:
     assert run(*words).exit_code == 2
+
+
+def test_a_refused_rig_leaves_the_map_that_is_there(place: Path) -> None:
+    motion = renamed(walk(8), NAMES)
+    flat = np.linalg.norm(motion.skeleton.offsets, axis=-1)[:, None] * np.array([1.0, 0.0, 0.0], np.float32)
+    still = quat_identity(motion.local_rotations.shape[:2])
+    lying = replace(motion, skeleton=replace(motion.skeleton, offsets=flat), local_rotations=still)
+    write_bvh("lying.bvh", lying)
+    (place / "kept.json").write_text("mine")
+    assert "lying.bvh" in fault("retarget", "--rig", "lying.bvh", "--save-map", "kept.json")
+    assert (place / "kept.json").read_text() == "mine"
 
 
 def test_inputs_are_never_overwritten(place: Path) -> None:

@@ -47,6 +47,9 @@ def test_what_is_not_there_is_refused(motionkit, walk: Motion) -> None:
     assert motionkit("trim", "walk.bvh", "--from", 5).failed_with("--from is frame 300, but the clip has 120")
     assert motionkit("trim", "walk.bvh", "--from", 1, "--to", "20f").failed_with("--to is frame 20")
     assert motionkit("trim", "walk.bvh", "--from", "five").code == 2
+    said = motionkit("trim", "walk.bvh", "--from", f"{'9' * 400}f")
+    assert said.code == 2 and "expected at most 1,000,000,000" in said.err
+    assert motionkit("trim", "walk.bvh", "--from", ".5", "-o", "half.bvh").code == 0
 
 
 @pytest.mark.parametrize("command", ["trim", "fix", "loop", "convert", "retarget", "view"])

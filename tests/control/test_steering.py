@@ -149,6 +149,7 @@ def test_facing_turns_the_short_way() -> None:
     [
         ((0.0, 0.0), None, "idle"),
         ((0.0, STANDS_BELOW), 1.0, "idle"),
+        ((0.0, -18.0), 0.0, "idle"),
         ((0.0, 60.0), None, "walking"),
         ((80.0, 80.0), None, "walking"),
         ((0.0, 300.0), None, "running"),

@@ -251,7 +251,7 @@ def test_arrays_and_tables_agree(cmu: Motion, tmp_path: Path) -> None:
     assert arrays["contacts"].shape == (60, 4) and 0 < arrays["contacts"].mean() < 1
     with (tmp_path / "a.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 60 and rows[59]["seconds"] == f"{59 / 120:.6g}"
+    assert len(rows) == 60 and rows[59]["seconds"] == f"{59 / 120:.9g}"
     for joint, name in enumerate(cmu.skeleton.names):
         table = [[float(row[f"{name}_{axis}"]) for axis in "xyz"] for row in rows]
         assert table == pytest.approx(arrays["positions"][:, joint], rel=1e-4, abs=1e-3)
@@ -259,6 +259,25 @@ def test_arrays_and_tables_agree(cmu: Motion, tmp_path: Path) -> None:
         assert quats == pytest.approx(arrays["rotations"][:, joint], abs=1e-4)
     feet = [[int(row[f"{name}_contact"]) for name in arrays["contact_joints"]] for row in rows]
     assert (feet == arrays["contacts"]).all() and rows[0]["type"] == "running"
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_a_single_joint(make_motion: Callable[..., Motion], tmp_path: Path, ending: str) -> None:
+    one = make_motion(5, skeleton=Skeleton(("Ball",), (-1,), np.zeros((1, 3), np.float32), {}))
+    if ending == ".vrma":
+        with pytest.raises(SkeletonError):
+            write_motion(tmp_path / "a.vrma", one)
+    else:
+        write_motion(tmp_path / f"a{ending}", one)
+
+
+def test_usd_has_names_that_its_paths_cannot(make_motion: Callable[..., Motion], tmp_path: Path) -> None:
+    offsets = np.array([[0, 0, 0], [0, 10, 0]], np.float32)
+    write_motion(
+        tmp_path / "a.usda",
+        make_motion(2, skeleton=Skeleton(("腰", "左足"), (-1, 0), offsets, {1: (0, 9, 0)})),
+    )
+    assert 'uniform token[] jointNames = ["腰", "左足"]' in (tmp_path / "a.usda").read_text("utf-8")
 
 
 def test_rigs_that_are_not_human(make_motion: Callable[..., Motion], tmp_path: Path) -> None:

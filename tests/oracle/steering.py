@@ -62,7 +62,7 @@ def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> st
         if gait is None:
             return math.inf
         wanted = 0.0 if facing is None else direction - facing
-        if speed < STANDS_BELOW:
+        if speed < GOES_FROM:
             return abs(math.sqrt(speed) - math.sqrt(gait.speed))
         turn = abs(nearest_turn(wanted - gait.facing)) + GAIT_CHOICE.backwards_share * abs(gait.facing)
         return abs(math.sqrt(speed) - math.sqrt(gait.speed)) + GAIT_CHOICE.turn_cost * turn

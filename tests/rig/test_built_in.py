@@ -28,7 +28,7 @@ from motionkit.rig.retarget import retarget
 from motionkit.rig.rig import Rig
 from motionkit.rig.standing_pose import ARMS
 from motionkit.rig.to_rig import to_rig
-from motionkit.rig.up_axis import up_turn
+from motionkit.rig.up_axis import turned_world, up_turn
 from synthetic_motions import make_cartwheel, make_walk
 
 SIDES = ("Left", "Right")
@@ -84,6 +84,16 @@ def test_feet_are_on_the_floor(rig: Rig, make: Callable[[], Motion]) -> None:
     lower = places[:, [rig.place(f"{side}ToeBase") for side in SIDES], 1].min(axis=1)
     assert rig.stance is not None
     assert abs(np.quantile(lower, 0.25) - rig.stance / rig.scale) < TOE.slack and lower.min() > 2.3
+
+
+def test_a_rest_frame_stands_also_where_the_rest_pose_has_another_up() -> None:
+    """A rest pose along Y in a file whose floor has Z up."""
+    quarter = np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0], np.float32)
+    motion = turned_world(make_walk(60), quarter)
+    made = motion_kinematics(with_rest_frame(motion))[1]
+    hips, head = made[:2, 0], made[:2, JOINT_NAMES.index("Head")]
+    assert (head - hips)[:, 2] == pytest.approx((head - hips)[1, 2], abs=3.0)
+    assert made[0, :, 2].min() > -2.0
 
 
 @pytest.mark.parametrize("ending", [ending for ending in WRITERS if ending not in (".vrm", ".fbx")])

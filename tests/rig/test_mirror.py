@@ -26,6 +26,7 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import JOINT_NAMES, MIRROR_JOINTS, Skeleton, canonical_skeleton
 from motionkit.rig.mirror import mirror_bvh, mirror_file, mirror_motion, mirror_plan
 from motionkit.rig.sides import joint_sides, opposite_joints
+from synthetic_motions import make_walk
 
 BROKEN = Path(__file__).parents[1] / "broken_bvh"
 ROOT_CHANNELS = ("Xposition", "Yposition", "Zposition", "Zrotation", "Yrotation", "Xrotation")
@@ -277,6 +278,26 @@ def test_six_channel_joints_mirror_their_places() -> None:
     mirrored = mirror_bvh(bvh)
     assert_mirror_image(bvh_to_motion(bvh), bvh_to_motion(mirrored))
     np.testing.assert_array_equal(mirror_bvh(mirrored).values, bvh.values)
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_limbs_whose_names_have_no_side_are_those_of_the_map(told: bool) -> None:
+    """Beside eyes that have one: the names alone would make every limb its own opposite."""
+    walk = make_walk(60)
+    names = walk.skeleton.names
+    head = names.index("Head")
+    skeleton = Skeleton(
+        (*(f"bone{joint:02d}" for joint in range(len(names))), "eye_L", "eye_R"),
+        (*walk.skeleton.parents, head, head),
+        np.concatenate([walk.skeleton.offsets, np.array([[3.0, 5, 8], [-3, 5, 8]], np.float32)]),
+    )
+    still = np.tile(np.array([1.0, 0, 0, 0], np.float32), (60, 2, 1))
+    motion = replace(
+        walk, skeleton=skeleton, local_rotations=np.concatenate([walk.local_rotations, still], axis=1)
+    )
+    limbs = {name: joint for joint, name in enumerate(names)} if told else None
+    made, wanted = mirror_motion(motion, limbs), mirror_motion(walk)
+    assert float(quat_angle(made.local_rotations[:, : len(names)], wanted.local_rotations).max()) < 1e-3
 
 
 def test_no_sides_is_a_clear_error() -> None:

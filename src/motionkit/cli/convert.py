@@ -72,7 +72,7 @@ def command(
     root_motion: RootMotion,
     name: str | None,
     alone: bool,
-    body: str,
+    body: str | None,
     as_json: bool,
 ) -> None:
     """Convert a motion file; the endings of SOURCE and TARGET name the formats.

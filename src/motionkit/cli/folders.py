@@ -73,12 +73,14 @@ def folders(
     forms: tuple[str, ...] = FORMATS,
     check: Callable[..., Any] = checked_ending,
     written: Callable[[Path, Path], list[Path]] = lambda clip, place: [place],
+    refuse: Callable[[Path, dict[str, Any]], None] = lambda place, values: None,
 ) -> Callable:
     """Let a command take folders; source and target name its arguments. Put this above `gathered`.
 
     A single target is checked for its ending, by `check`, before any work. A source may be a tuple of clips, of which
     a folder is the only one. forms are the formats that the command writes; written gives the files that it writes for
-    a clip and its place in the folder.
+    a clip and its place in the folder; refuse raises UsageError for arguments that a folder, of which it gets a file to
+    write, cannot have.
     """
 
     def decorate(function: Callable) -> Callable:
@@ -92,7 +94,7 @@ def folders(
                 parameter = next(each for each in context.command.params if each.name == target)
                 check(context, parameter, values[target])
                 return function(**values)
-            return _run_folder(values, _Folder(place, source, target, form, written), jobs)
+            return _run_folder(values, _Folder(place, source, target, form, written, refuse), jobs)
 
         return whole
 
@@ -100,13 +102,14 @@ def folders(
 
 
 class _Folder(NamedTuple):
-    """A folder of clips: its place, names of the arguments for clips and files, the format, and `written`."""
+    """A folder of clips: its place, names of the arguments for clips and files, the format, `written` and `refuse`."""
 
     place: Path
     source: str
     target: str
     form: str
     written: Callable[[Path, Path], list[Path]]
+    refuse: Callable[[Path, dict[str, Any]], None]
 
 
 def _run_folder(values: dict[str, Any], whole: _Folder, jobs: int) -> None:
@@ -114,8 +117,9 @@ def _run_folder(values: dict[str, Any], whole: _Folder, jobs: int) -> None:
     from motionkit.data.workers import worker_processes
     from motionkit.rig.read_file import clips_of
 
-    folder, source, target, form, written = whole
+    folder, source, target, form, written, refuse = whole
     out = values[target]
+    refuse(Path(f"{folder.name}.{form}"), values)
     if values.get("view"):
         raise click.UsageError(
             f"--view shows one clip, and {folder} is a folder; motionkit view shows its clips"

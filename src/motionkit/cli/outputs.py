@@ -46,8 +46,8 @@ BODIES = ("adult", "woman", "heavy")  # as in view.asset, which is slow to impor
 
 def body_option(where: str) -> Callable:
     """The --body option of commands that write a body."""
-    text = f"Body that human rigs get in {where}; {BODIES[0]} by default."
-    return click.option("--body", type=click.Choice(BODIES), default=BODIES[0], help=text)
+    text = f"Body that human rigs get in {where}; {BODIES[0]} by default, or that of a .glb of motionkit."
+    return click.option("--body", type=click.Choice(BODIES), help=text)
 
 
 animation_options = together(
@@ -155,7 +155,7 @@ class OutputOptions:
         base = self.output or default_output(name, ending, everything)
         check_outputs([*everything(base), *also], inputs)
         page = base.with_suffix(".html") if self.view else None
-        replaced = tuple(path for path in everything(base) if path.exists())
+        replaced = tuple(path for path in (*everything(base), *also) if path.exists())
         return Outputs(tuple(motions(base)), page, self.as_json, replaced, self.name, self.alone)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -90,7 +91,9 @@ class Rigs:
         return open_rig(self.rig_path, self.map_path, self.clip_path)
 
     def reading(self) -> AbstractContextManager[None]:
-        """Read with what the user says of SOURCE."""
+        """Read with what the user says of SOURCE; raises UsageError if that is two units."""
+        if self.scale and self.unit:
+            raise click.UsageError("--unit and --scale both give the unit of SOURCE; give one of them")
         return reading(up=self.up, cm=self.scale or self.unit)
 
     def canonical(
@@ -123,6 +126,12 @@ class Rigs:
         rig = rig or read_rig(source)
         write_rig_map(self.save_map, rig.skeleton, rig.joints)
         return [f"wrote {self.save_map}: bone map"]
+
+
+def _refuse(place: Path, values: dict[str, Any]) -> None:
+    """Refuse a map of each clip of a folder in one file."""
+    if values["save_map"] is not None and values["rig_path"] is None:
+        raise click.UsageError("--save-map for a folder needs --rig, whose map it saves")
 
 
 @click.command("retarget")
@@ -164,7 +173,7 @@ class Rigs:
 @strict_option
 @view_option
 @json_option
-@folders("source", "output")
+@folders("source", "output", refuse=_refuse)
 @gathered("rigs", Rigs)
 @gathered("output_options", OutputOptions)
 def command(
@@ -259,12 +268,12 @@ def _save_exchanged(rig_path: Path, save_map: Path) -> tuple[Rig, list[str]]:
     from motionkit.rig.read_file import read_file
 
     skeleton = read_file(rig_path).skeleton
-    write_rig_map(save_map, skeleton, map_rig(skeleton).with_sides_exchanged())
-    try:
-        rig = open_rig(rig_path, save_map).rig
-    except SkeletonError:
-        save_map.unlink()
-        raise
+    exchanged = map_rig(skeleton).with_sides_exchanged()
+    with TemporaryDirectory() as folder:  # an old map stays until the new one is known to fit
+        trial = Path(folder) / save_map.name
+        write_rig_map(trial, skeleton, exchanged)
+        rig = open_rig(rig_path, trial).rig
+    write_rig_map(save_map, skeleton, exchanged)
     assert rig is not None
     return rig, [
         f"wrote {save_map}: bone map that exchanges left and right, which are mirrored; give it as --map"

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import click
 
-_TIME = re.compile(r"(\d+(?:\.\d*)?)\s*s?|(\d+)\s*f")
+_TIME = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*s?|(\d+)\s*f")
+LATEST = 1e9  # largest number of seconds or frames
 
 
 class Moment(NamedTuple):
@@ -37,7 +38,10 @@ class Time(click.ParamType):
             self.fail(
                 f"expected seconds such as 1.5, or a frame such as 90f, found {value!r}", parameter, context
             )
-        return Moment(float(found[1] or found[2]), found[1] is None)
+        moment = Moment(float(found[1] or found[2]), found[1] is None)
+        if moment.value > LATEST:
+            self.fail(f"expected at most {LATEST:,.0f}, found {str(value)[:40]!r}", parameter, context)
+        return moment
 
 
 class TimePair(click.ParamType):

@@ -241,9 +241,9 @@ def command(
     """Train a motion model on a DATASET folder made by preprocess.
 
     Training starts from the bundled model and takes 5 minutes by default; --from-scratch starts from random
-    weights and takes 30, or an hour and more for a good model. A checkpoint is written every 40 seconds. Ctrl-C writes the model as it is, and
-    --resume continues the run exactly. For several processes: torchrun --nproc-per-node N -m motionkit train
-    DATASET ...
+    weights and takes 30, or an hour and more for a good model. A checkpoint is written every 40 seconds. Ctrl-C
+    writes the model as it is, and --resume continues the run exactly. For several processes: torchrun
+    --nproc-per-node N -m motionkit train DATASET ...
     """
     init = begins.of(preset)
     run.check([init if init != BUNDLED else None, *dataset.glob("*")])

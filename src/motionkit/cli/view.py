@@ -20,10 +20,11 @@ from motionkit.cli.common import (
     json_option,
     option,
     print_json,
+    remark,
     say,
 )
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import body_option, default_output, describe_input, input_lines
+from motionkit.cli.outputs import BODIES, body_option, default_output, describe_input, input_lines
 from motionkit.cli.rig_options import RIG_FILE, RigChoice, open_rig
 from motionkit.cli.showing import open_in_browser
 from motionkit.errors import naming
@@ -81,14 +82,20 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
 @animation_option
 @clip_options
 @json_option
-@folders("clips", "output", tuple(ending[1:] for ending in ENDINGS), _ending)
+@folders(
+    "clips",
+    "output",
+    tuple(ending[1:] for ending in ENDINGS),
+    _ending,
+    refuse=lambda place, _: _check_options(place),
+)
 @gathered("choice", open_rig)
 def command(
     clips: tuple[Path, ...],
     output: Path | None,
     path_file: Path | None,
     opens: bool,
-    body: str,
+    body: str | None,
     as_json: bool,
     choice: RigChoice,
     **sizes: Any,
@@ -113,9 +120,12 @@ def command(
     read = [
         _read_view(clip, visible(name), choice.rig) for clip, name in zip(clips, _names(clips), strict=True)
     ]
-    views = [replace(one, path=path, body=body) for one, _ in read]
+    views = [replace(_bodied(one, body), path=path) for one, _ in read]
+    replaced = target.exists()
     with Stages() as show, choice.as_written():
         write_views(target, views, progress=lambda done, total: show("drawing", done, total), **sizes)
+    if replaced:
+        remark(f"replaced {target}")
     read_as = [words for _, words in read]
     if target.suffix.lower() == ".html" and opens and not as_json:
         open_in_browser(target.resolve().as_uri())
@@ -134,6 +144,13 @@ def command(
     else:
         for line in (f"wrote {target}: {counted(len(clips), 'clip')}", *input_lines(clips, read_as)):
             say(line)
+
+
+def _bodied(view: MotionView, body: str | None) -> MotionView:
+    """The view with one of BODIES, also in place of a body that motionkit made."""
+    if body and view.character is not None and view.character.tree.file.by_motionkit():
+        view = replace(view, character=None)
+    return replace(view, body=body or BODIES[0])
 
 
 def _read_view(path: Path, name: str, rig: Rig | None) -> tuple[MotionView, str]:

@@ -10,6 +10,7 @@ from motionkit.motion.bvh import motion_to_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
+    quat_between,
     quat_continuous,
     quat_identity,
     quat_inverse,
@@ -94,9 +95,15 @@ def _standing(name: str, rig: Rig, fps: float) -> Motion:
 def _rest_pose(rig: Rig, fps: float) -> Motion:
     """One frame of the rest pose, or of a T-pose."""
     skeleton, source = rig.skeleton, SourceRig(rig.skeleton, rig.joints, rig.skeleton.rest_positions())
-    if is_standing(source, body_frame(source)):
+    frame = body_frame(source)
+    if is_standing(source, frame):
         still = quat_identity((1, len(skeleton)))
-        return Motion(skeleton, still, skeleton.offsets[:1].astype(np.float32), fps)
+        # The rest pose may stand along another axis than the motion.
+        stood = quat_rotate(frame, np.array([0.0, 1.0, 0.0]))
+        turn = quat_between(stood, rig.up.astype(np.float64))
+        still[0, 0] = turn
+        place = quat_rotate(turn, skeleton.offsets[:1].astype(np.float64))
+        return Motion(skeleton, still, place.astype(np.float32), fps)
     return _standing("tpose", rig, fps)
 
 

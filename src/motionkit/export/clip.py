@@ -28,8 +28,9 @@ class Clip:
         channels: channels of each joint in the source BVH file, kept when writing BVH; None for the default.
         hierarchy: text of the source file's hierarchy section, likewise; None to make one from the skeleton.
         character: the .glb or .vrm file whose joints the motion is on; .glb and .vrm files are that file with the
-            motion added. None to show the motion on a body of motionkit.
-        body: the one of BODIES that human rigs get then.
+            motion added, but for files of motionkit whose joints the motion does not fit, or if a body is asked for.
+            None to show the motion on a body of motionkit.
+        body: the one of BODIES that human rigs get then; None for the first, or that of the character.
         alone: leave out the animations that the character's file has.
         per_unit: lengths of the motion to one unit of the file it was read from.
     """
@@ -40,9 +41,22 @@ class Clip:
     channels: tuple[tuple[str, ...], ...] | None = None
     hierarchy: str | None = None
     character: Character | None = None
-    body: str = BODIES[0]
+    body: str | None = None
     alone: bool = False
     per_unit: float = 1.0
+
+    @property
+    def host(self) -> Character | None:
+        """The character into whose file the motion is written; None to write a body of motionkit."""
+        one = self.character
+        if one is None or not one.tree.file.by_motionkit():
+            return one
+        return one if self.body is None and one.holds(self.motion) else None
+
+    @property
+    def new_body(self) -> str:
+        """The one of BODIES that a human rig gets."""
+        return self.body or BODIES[0]
 
     def in_file(self) -> Motion:
         """The motion in the unit of the file it was read from."""

@@ -115,8 +115,6 @@ def _read_character(path: str | Path, name: str | None) -> Clip:
 
     character = read_character(path)
     called, motion = motion_of(character, name)
-    # The body of our own files is made anew, for any joints.
-    body = None if character.tree.file.by_motionkit() else character
     # A unit that the user gives is that of the file.
     per_unit = CM if user_cm() is None else 1.0
-    return Clip(motion.scaled(per_unit), called, character=body, per_unit=per_unit)
+    return Clip(motion.scaled(per_unit), called, character=character, per_unit=per_unit)

@@ -27,11 +27,11 @@ from motionkit.rig.read_glb import clip_names, unused_name
 
 def write_glb(path: str | Path, clip: Clip) -> None:
     """Write a motion of any rig as a .glb file, atomically: into the file of its character, or with a body."""
-    if clip.character is not None:
-        _write_into(path, clip, clip.character)
+    if clip.host is not None:
+        _write_into(path, clip, clip.host)
         return
     document = GltfDocument()
-    figure = make_figure(clip.motion, clip.body)
+    figure = make_figure(clip.motion, clip.new_body)
     joints = add_figure(document, figure, clip.name)
     rotations, translations = figure.locals()
     moving = {joint: translations[:, joint] for joint in figure.motion.moving_joints()}

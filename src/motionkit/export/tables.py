@@ -20,6 +20,8 @@ from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES
 from motionkit.rig.canonical import canonical_motion
 from motionkit.rig.upright import AS_BROUGHT, in_metres
 
+# Numbers of a joint in a table: three of a place in cm, four of a rotation.
+_SHORT = ("{:.4f}".format,) * 3 + ("{:.6g}".format,) * 4
 CONTACT_NAMES = tuple(JOINT_NAMES[joint] for joint in FOOT_JOINTS)
 
 
@@ -62,8 +64,8 @@ def write_csv(path: str | Path, clip: Clip) -> None:
         table.writerow(names)
         for frame, kind in enumerate(frame_types(clip)):
             feet = touching[frame].tolist() if len(touching) else [""] * len(CONTACT_NAMES)
-            row = (f"{value:.6g}" for value in numbers[frame].tolist())
-            table.writerow([frame, f"{frame / motion.fps:.6g}", kind, *feet, *row])
+            row = (_SHORT[column % 7](value) for column, value in enumerate(numbers[frame].tolist()))
+            table.writerow([frame, f"{frame / motion.fps:.9g}", kind, *feet, *row])
 
 
 def contacts(motion: Motion) -> Array:

@@ -21,7 +21,7 @@ from motionkit.motion.skeleton import Skeleton
 
 def write_usda(path: str | Path, clip: Clip) -> None:
     """Write a motion of any rig as a .usda file, atomically."""
-    figure = make_figure(clip.motion, clip.body)
+    figure = make_figure(clip.motion, clip.new_body)
     with atomic_write(path) as file:
         for line in _lines(figure, clip):
             file.write(line + "\n")
@@ -42,6 +42,11 @@ def joint_paths(skeleton: Skeleton) -> list[str]:
     return paths
 
 
+def _quoted(name: str) -> str:
+    """A joint's own name as a string of USD, which paths may have only in part."""
+    return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
 def _lines(figure: Figure, clip: Clip) -> Iterable[str]:
     motion = figure.motion
     paths = joint_paths(motion.skeleton)
@@ -56,6 +61,7 @@ def _lines(figure: Figure, clip: Clip) -> Iterable[str]:
         '    prepend apiSchemas = ["SkelBindingAPI"]', ")", "{",
         '    def Skeleton "Skeleton" (', '        prepend apiSchemas = ["SkelBindingAPI"]', "    )", "    {",
         f"        uniform token[] joints = {joints}",
+        f"        uniform token[] jointNames = [{', '.join(map(_quoted, motion.skeleton.names))}]",
         f"        uniform matrix4d[] bindTransforms = {_matrix_list(figure.binds)}",
         f"        uniform matrix4d[] restTransforms = {_matrix_list(rest)}",
         "        rel skel:animationSource = </Motion/Skeleton/Animation>", "",

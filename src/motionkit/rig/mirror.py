@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from motionkit.motion.mirror import REFLECTIONS, MirrorPlan, Signs, mirrored, mi
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import mean_rotation, quat_angle
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.names import map_rig, user_places
 from motionkit.rig.pose import SAMPLES
 from motionkit.rig.read_file import read_file
 from motionkit.rig.shape import opposites_by_shape
@@ -29,16 +31,17 @@ _SHORT_SHARE = 0.05  # of the mean bone; shorter bones do not vote, because thei
 _RIGID_SHARE = 0.01  # of the mean bone; a joint whose position varies by less ends a rigid bone
 
 
-def mirror_plan(motion: Motion) -> MirrorPlan:
+def mirror_plan(motion: Motion, limbs: Mapping[str, int] | None = None) -> MirrorPlan:
     """Find opposite joints by name, or by shape if no name has a side, and reflections by rest pose and mean pose.
 
-    A motion and its mirror image get the same plan.
+    Limbs whose names have no side, beside others that have one, are those of the bone map: the user's, that of the
+    file (limbs, canonical joints to joint indices), or by shape. A motion and its mirror image get the same plan.
 
     Raises:
         SkeletonError: the rig has no left and right, or its sides have different hierarchies.
     """
     skeleton = motion.skeleton
-    opposites = _checked_opposites(motion)
+    opposites = _checked_opposites(motion, limbs)
     places, rigid = _mean_places(motion)
     axis = _common_axis(opposites, places, rigid)
     up = int(np.abs(up_axis(motion_kinematics(motion)[1], skeleton)).argmax())
@@ -49,12 +52,16 @@ def mirror_plan(motion: Motion) -> MirrorPlan:
     return MirrorPlan(opposites, world, _joint_reflections(motion, opposites, places, rigid, world))
 
 
-def _checked_opposites(motion: Motion) -> tuple[int, ...]:
+def _checked_opposites(motion: Motion, limbs: Mapping[str, int] | None) -> tuple[int, ...]:
     names, parents = motion.skeleton.names, motion.skeleton.parents
     opposites = opposite_joints(names)
-    if all(opposite == joint for joint, opposite in enumerate(opposites)):
-        some = motion.cut(0, len(motion), max(1, len(motion) // SAMPLES))
-        found = opposites_by_shape(motion.skeleton, motion_kinematics(some)[1])
+    some = motion.cut(0, len(motion), max(1, len(motion) // SAMPLES))
+    poses = motion_kinematics(some)[1]
+    known = user_places(motion.skeleton) or limbs
+    if known or any(opposite != joint for joint, opposite in enumerate(opposites)):
+        opposites = _with_limbs(motion.skeleton, opposites, known or _limbs(motion.skeleton, poses))
+    else:
+        found = opposites_by_shape(motion.skeleton, poses)
         if found is None:
             listed = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
             raise SkeletonError(
@@ -73,6 +80,35 @@ def _checked_opposites(motion: Motion) -> tuple[int, ...]:
                 "mirroring needs the same hierarchy on both sides"
             )
     return opposites
+
+
+def _limbs(skeleton: Skeleton, poses: Array) -> Mapping[str, int]:
+    """The canonical joints of a rig by its names and shape; none of a rig that is not human."""
+    try:
+        return map_rig(skeleton, poses).places
+    except SkeletonError:
+        return {}
+
+
+def _with_limbs(skeleton: Skeleton, opposites: Sequence[int], places: Mapping[str, int]) -> tuple[int, ...]:
+    """Opposite joints with those of the limbs that have none yet, and of the joints below these, in order."""
+    out, added = list(opposites), set[int]()
+
+    def pair(left: int, right: int) -> None:
+        if left != right and out[left] == left and out[right] == right:
+            out[left], out[right] = right, left
+            added.update((left, right))
+
+    for name, left in places.items():
+        if name.startswith("Left") and (right := places.get(f"Right{name[4:]}")) is not None:
+            pair(left, right)
+    for joint in range(len(out)):
+        if joint in added and out[joint] > joint:
+            sides = [[c for c in skeleton.children(side) if out[c] == c] for side in (joint, out[joint])]
+            if len(sides[0]) == len(sides[1]):
+                for left, right in zip(*sides, strict=True):
+                    pair(left, right)
+    return tuple(out)
 
 
 def _mean_places(motion: Motion) -> tuple[Array, tuple[bool, ...]]:
@@ -155,15 +191,17 @@ def _bone_misfit(
     )
 
 
-def mirror_motion(motion: Motion) -> Motion:
+def mirror_motion(motion: Motion, limbs: Mapping[str, int] | None = None) -> Motion:
     """Swap left and right of a motion on the same skeleton, for any rig with left and right joints.
+
+    limbs are canonical joints and their joint indices, where the motion's file names them (VRM).
 
     The world is reflected along the rig's left-right axis, X for the canonical skeleton.
 
     Raises:
         SkeletonError: the rig has no left and right.
     """
-    return mirrored(motion, mirror_plan(motion))
+    return mirrored(motion, mirror_plan(motion, limbs))
 
 
 def mirror_bvh(bvh: BvhFile) -> BvhFile:

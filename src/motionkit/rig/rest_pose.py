@@ -177,8 +177,11 @@ def tiny_length(skeleton: Skeleton) -> float:
 
 def longest_bone(skeleton: Skeleton) -> tuple[str, float]:
     """The joint that is furthest from its parent, and how far, in the skeleton's unit."""
-    lengths = np.linalg.norm(skeleton.offsets[1:], axis=-1)
-    return skeleton.names[1 + int(lengths.argmax())], float(lengths.max())
+    bones = zip(skeleton.names[1:], np.linalg.norm(skeleton.offsets[1:], axis=-1).tolist(), strict=True)
+    ends = ((skeleton.names[joint], float(np.linalg.norm(end))) for joint, end in skeleton.end_sites.items())
+    # A skeleton of one joint has the bone to its end, if any.
+    found = list(bones) or [bone for bone in ends if bone[1] > 0.0] or [(skeleton.names[0], 1.0)]
+    return max(found, key=lambda bone: bone[1])
 
 
 def frame_from(lateral: Array, up: Array) -> Array:

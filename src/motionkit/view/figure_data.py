@@ -30,7 +30,7 @@ from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_fig
 from motionkit.view.surface import COLOR_SHARES
 
 QUATERNION_STEPS = 32767  # steps per unit of a quaternion; resolves a few thousandths of a degree
-POINT_STEPS = 10_000  # steps per metre of body points; 0.1 mm each
+POINT_STEPS = 10_000  # most steps per metre of body points, 0.1 mm each; points further than 3 m have fewer
 NORMAL_STEPS = 127  # steps per unit of their normals
 
 
@@ -148,10 +148,13 @@ def rig_data(motion: Motion, figure: Figure | None = None, body: str | None = BO
 def _body_data(motion: Motion, figure: Figure, body: str) -> dict[str, Any]:
     """One of BODIES, fitted to a skeleton."""
     surface, pose = make_body(motion, figure, body)
+    furthest = float(np.abs(surface.points).max(initial=0.0))
+    steps = min(POINT_STEPS, int(np.iinfo(np.int16).max / max(furthest, 1e-9)))
     return {
         "rotations": pack(matrix_to_quat(pose.rotations), "f4"),
         "places": pack(pose.places, "f4"),
-        "points": pack((surface.points * POINT_STEPS).round(), "i2"),
+        "points": pack((surface.points * steps).round(), "i2"),
+        "steps": steps,
         "triangles": pack(surface.triangles, "u2"),
         "joints": pack(surface.joints, "u2"),
         "weights": pack((surface.weights * 255).round(), "u1"),

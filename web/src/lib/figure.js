@@ -5,7 +5,6 @@ import {
   MeshLambertMaterial, MeshStandardMaterial, OctahedronGeometry, Quaternion, SRGBColorSpace, Skeleton, SkinnedMesh, Sphere, SphereGeometry, Vector3,
 } from "three";
 
-const POINT_STEP = 1e-4; // metres
 const SIDE_COLORS = { left: 0x3b82f6, right: 0xf97316, "": 0xa8a29e };
 const BEHIND = 0.22; // opacity of a body while its skeleton is visible
 
@@ -66,7 +65,7 @@ export class Figure extends Group {
 
   #body() {
     const { body, count } = this.rig;
-    const points = Float32Array.from(body.points, (step) => step * POINT_STEP);
+    const points = Float32Array.from(body.points, (step) => step / body.steps);
     const weights = Float32Array.from(body.weights, (step) => step / 255);
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(points, 3));
