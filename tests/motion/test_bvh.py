@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from motionkit.errors import BvhError, MotionkitError
+from motionkit.export.formats import read_motion, write_motion
 from motionkit.files import atomic_write
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
@@ -185,6 +186,9 @@ def test_single_joint_and_single_frame(tmp_path: Path) -> None:
         ("0.0417", 24),
         ("0.0167", 60),
         ("0.04004", 25),
+        ("0.0168067227", 59.5),
+        ("0.016000", 62.5),
+        ("0.016", 62),
     ],
 )
 def test_rate_is_that_of_video_or_a_whole_one(
@@ -192,7 +196,14 @@ def test_rate_is_that_of_video_or_a_whole_one(
 ) -> None:
     path = tmp_path / "clip.bvh"
     path.write_text(good_text.replace("0.008333333", frame_time))
-    assert read_bvh(path).fps == fps
+    assert read_bvh(path).fps == pytest.approx(fps, rel=1e-9)
+
+
+@pytest.mark.parametrize("fps", [25.0, 59.5, 62.5, 99.7, 23.98])
+def test_a_rate_is_written_as_it_is(tmp_path: Path, make_motion: Callable[..., Motion], fps: float) -> None:
+    for ending in (".bvh", ".npz", ".glb"):
+        write_motion(tmp_path / f"a{ending}", replace(make_motion(frames=40), fps=fps))
+        assert read_motion(tmp_path / f"a{ending}").fps == pytest.approx(fps, rel=1e-6)
 
 
 @pytest.mark.parametrize("fps", [0.5, 20_000.0])

@@ -97,6 +97,10 @@ def command(
             motion = root_motion.applied(motion)
             outputs.write(replace(clip.with_motion(motion), body=body))
         joints, frames = len(motion.skeleton), len(motion)
+        if file.suffix.lower() == ".vrma":  # fingers and other joints are left out
+            from motionkit.export.vrma import joints_kept
+
+            joints = len(joints_kept())
         facts = {
             "file": source,
             "output": file,

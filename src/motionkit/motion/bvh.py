@@ -20,7 +20,7 @@ from motionkit.errors import BvhError
 from motionkit.files import atomic_write
 from motionkit.motion.bvh_rows import MAX_NUMBER, implausible_value
 from motionkit.motion.bvh_text import LONGEST_FRAME, SHORTEST_FRAME, read_bvh_text
-from motionkit.motion.frame_rate import nominal_rate
+from motionkit.motion.frame_rate import ENOUGH_DIGITS, EXACT_WITHIN, nominal_rate, significant_digits
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import euler_to_quat, quat_continuous, quat_to_euler
 from motionkit.motion.skeleton import Skeleton
@@ -44,6 +44,7 @@ class BvhFile:
         hierarchy: text of the hierarchy section, as it was read and as it is written; None to make one from skeleton
             and channels, also where the text had to be repaired.
         humanoid: canonical limb joints, hips and head to joint indices, where the file itself says so (VRM).
+        rate_within: largest relative difference of the rate from a whole number, by the digits of the frame time.
     """
 
     skeleton: Skeleton
@@ -52,11 +53,12 @@ class BvhFile:
     frame_time: float
     hierarchy: str | None = None
     humanoid: dict[str, int] | None = None
+    rate_within: float = EXACT_WITHIN
 
     @property
     def fps(self) -> float:
         """The declared frame rate, without the rounding of the frame time (nominal_rate)."""
-        return nominal_rate(1.0 / self.frame_time)
+        return nominal_rate(1.0 / self.frame_time, self.rate_within)
 
     def picked(self, joints: Sequence[int]) -> BvhFile:
         """Some joints, with the parents of each, in another order, with their channels and values."""
@@ -66,6 +68,7 @@ class BvhFile:
             tuple(self.channels[joint] for joint in joints),
             self.values[:, [column for joint in joints for column in columns[joint]]],
             self.frame_time,
+            rate_within=self.rate_within,
         )
 
     def columns(self) -> list[range]:
@@ -110,7 +113,9 @@ def read_bvh(path: str | Path) -> BvhFile:
             ends[index] = tuple(joint.EndSite)
         waiting.extend((child, index) for child in reversed(joint.Children))
     skeleton = Skeleton(tuple(names), tuple(parents), np.array(offsets, np.float32), ends)
-    bvh = BvhFile(skeleton, tuple(channels), text.values, text.frame_time, text.hierarchy)
+    bvh = BvhFile(
+        skeleton, tuple(channels), text.values, text.frame_time, text.hierarchy, rate_within=text.rate_within
+    )
     _check_places(path, bvh)
     return bvh
 
@@ -233,8 +238,15 @@ def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) ->
     _check_numbers(path, bvh)
     with atomic_write(path) as file:
         file.write(bvh.hierarchy or _hierarchy_text(bvh))
-        file.write(f"MOTION\nFrames: {bvh.values.shape[0]}\nFrame Time: {bvh.frame_time:.9g}\n")
+        file.write(f"MOTION\nFrames: {bvh.values.shape[0]}\nFrame Time: {_frame_time_text(bvh)}\n")
         np.savetxt(file, bvh.values, fmt="%.6f", delimiter=" ")
+
+
+def _frame_time_text(bvh: BvhFile) -> str:
+    """The frame time with the digits that it needs; zeros say that a short one is exact, if it is."""
+    text = f"{bvh.frame_time:.9g}"
+    exact = bvh.rate_within <= EXACT_WITHIN
+    return f"{bvh.frame_time:.8f}" if exact and significant_digits(text) < ENOUGH_DIGITS else text
 
 
 def bvh_hierarchy(skeleton: Skeleton) -> tuple[str, list[int]]:

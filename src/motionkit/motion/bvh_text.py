@@ -19,6 +19,7 @@ from motionkit.errors import BvhError, MotionkitError
 from motionkit.files import check_regular, read_bytes
 from motionkit.free_memory import check_memory, check_text
 from motionkit.motion.bvh_rows import Notes, floats, read_rows
+from motionkit.motion.frame_rate import EXACT_WITHIN, rate_within
 from motionkit.motion.motion import longest_seconds
 from motionkit.reading import report_notes
 
@@ -52,6 +53,7 @@ class BvhText:
     frame_time: float
     values: NDArray[np.float64]
     hierarchy: str | None
+    rate_within: float
 
 
 @dataclass
@@ -77,7 +79,7 @@ def read_bvh_text(path: str | Path) -> BvhText:
     trees = _check_hierarchy(path, lines, motion_line, notes)
     hierarchy = None if notes.lines else "\n".join(lines[:motion_line]) + "\n"
     columns = [column for tree in trees for column in tree.columns]
-    frames, frame_time, first_row = _check_motion_header(path, lines, motion_line, notes)
+    frames, frame_time, within, first_row = _check_motion_header(path, lines, motion_line, notes)
     try:
         # A root that moves has two triples of channels; rows end with the last line, which may be empty.
         rows = len(lines) - first_row - (not lines[-1].strip())
@@ -93,7 +95,7 @@ def read_bvh_text(path: str | Path) -> BvhText:
     report_notes(path, notes.lines)
     header = "\n".join(tree.out) + f"\nMOTION\nFrames: {len(values)}\nFrame Time: {frame_time!r}\n"
     values = values if all(kept) else values[:, kept]
-    return BvhText(header, tuple(tree.names), frame_time, values, hierarchy)
+    return BvhText(header, tuple(tree.names), frame_time, values, hierarchy, within)
 
 
 def _read_lines(path: str | Path, notes: Notes) -> list[str]:
@@ -346,11 +348,11 @@ def _check_hierarchy(path: str | Path, lines: list[str], motion_line: int, notes
 
 def _check_motion_header(
     path: str | Path, lines: list[str], motion_line: int, notes: Notes
-) -> tuple[int, float, int]:
-    """Declared frames, frame time and the line after both."""
+) -> tuple[int, float, float, int]:
+    """Declared frames, frame time, the rate_within of its digits, and the line after all."""
     if motion_line >= len(lines):
         notes.repaired("frame", "of the rest pose, because the file has no motion", "", motion_line)
-        return 0, POSE_FRAME, motion_line
+        return 0, POSE_FRAME, EXACT_WITHIN, motion_line
     filled = [i for i in range(motion_line + 1, min(len(lines), motion_line + 20)) if lines[i].strip()]
     frames_line = filled[0] if filled else motion_line + 1
     found = FRAMES.fullmatch(_plain(lines[frames_line])) if filled else None
@@ -373,7 +375,7 @@ def _check_motion_header(
             f"found {found[1][:40]}",
             time_line + 1,
         )
-    return frames, frame_time, time_line + 1
+    return frames, frame_time, rate_within(found[1]), time_line + 1
 
 
 def _plain(line: str) -> str:
