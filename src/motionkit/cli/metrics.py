@@ -243,7 +243,12 @@ def _tell_many(
         measured = [result for result in results if result.report]
         for line in _tables(measured, sets):
             stdout_console().print(line)
-        notes = [(r.name, f"{r.name}: {note}") for r in measured if r.report for note in r.report.notes]
+        notes = [
+            (r.name, f"{r.name}: {note.removeprefix(f'{r.name}: ')}")
+            for r in measured
+            if r.report
+            for note in r.report.notes
+        ]
         for line in lines_of_files(notes):
             stdout_console().print(f"note: {line}")
     failed = [result for result in results if result.report is None]
