@@ -55,7 +55,9 @@ corrections. A cell of the tables is the mean over seeds, ± the standard deviat
 (its own data, 2000 epochs; table 3: PFNN's data). Bold is a best value that is better by more than the spread. The
 columns are `bm-euler` (BM, best nearest to the recorded one), `afs`, `ssim-channel`, `mpjpe` and `path-mean` of
 [metrics.md](metrics.md). BM of drawn frames grows with sigma, so it says little of the movement; BM by mean does. w/o-F
-is fed contacts that are labelled by height and speed of its feet.
+is fed contacts that are labelled by height and speed of its feet. In the error one frame ahead, LearnedMM searches
+every 20 frames only, and PFNN is told of the first contacts only, so theirs is of more than a frame. The consistency
+loss, and losses of LearnedMM and HTSS, also counted frames beyond the end of short clips.
 """
 
 TABLES_HEAD = """# Tables of the experiments
@@ -186,8 +188,8 @@ def bodies_section(models: Sequence[dict[str, Any]], with_tables: bool = True) -
 
 
 LEARNT = """Each variant is compared with TPTN seed by seed on held-out clips, because the same seed sees the same
-windows. A cell is the variant's figure minus TPTN's, t of a two-sided paired t-test over seeds, and its p, corrected by
-Holm over the variants of the column; bold is p below 0.05. Less is better in
+windows (but of w/o-OS, which cuts others). A cell is the variant's figure minus TPTN's, t of a two-sided paired t-test
+over seeds, and its p, corrected by Holm over the variants of the column; bold is p below 0.05. Less is better in
 
 - **likelihood**: the negative log-likelihood per frame;
 - **error**: the error of the mean one frame ahead, each block of features as a share of that of repeating the last
@@ -197,7 +199,8 @@ Holm over the variants of the column; bold is p below 0.05. Less is better in
 BM or AFS of roll-outs by mean decides whether bodies move less or feet slide. A claim **agrees** or **does not agree**
 where a measure tells and none tells otherwise; else it **cannot be told**. Networks with ten seeds got the last five
 after the first had been read, so chance may decide one of them more easily than p says. Verdicts hold for the training
-below.
+below. There Muon trains the matrices within the layers of part transformers, nine tenths of their weights, and AdamW
+all else: also LSTMs and the networks of other papers, so that differences from these are of the optimizer, too.
 """
 SUMMARY_TABLES = "Networks of other papers, and floors"
 
