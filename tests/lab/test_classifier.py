@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +39,16 @@ def test_it_knows_the_recordings_it_was_trained_on(classifier: Classifier, datas
     swapped = dict(zip(kinds, [[windows[kind]] for kind in kinds[1:] + kinds[:1]], strict=True))
     assert classified(classifier, swapped, windows.values())["class-accuracy"].value < 0.2
     assert classified(classifier, {kinds[0]: []}, [])["class-accuracy"].value is None
+
+
+def test_it_does_not_know_mirror_images_that_are_held_out(dataset: Dataset) -> None:
+    twin = next(clip for clip in dataset.select("train") if clip.mirrored)
+    moved = copy(dataset)
+    moved.clips = tuple(replace(clip, split="test") if clip is twin else clip for clip in dataset.clips)
+    before, after = (
+        sum(map(len, recorded_windows(each, "train", mirrored=True).values())) for each in (dataset, moved)
+    )
+    assert 0 < after < before
 
 
 def test_the_same_seed_gives_the_same_classifier(classifier: Classifier, dataset: Dataset) -> None:

@@ -45,6 +45,13 @@ def test_references_are_rare_until_late_in_a_run() -> None:
     assert {asked.at(x).sampler.controls.reference_dropout for x in (0.0, 1.0)} == {0.3}
 
 
+def test_the_papers_preset_trains_as_the_paper_does_from_a_model_too() -> None:
+    alone = fine_tune_options("tptn-paper", steps=1)
+    assert alone.optimizer == train_options("tptn-paper", steps=1).optimizer and alone.sampler.splices == 0
+    with_budget = fine_tune_options("tptn-paper", steps=1, budget="medium")
+    assert with_budget.optimizer == train_options("tptn-paper", steps=1, budget="medium").optimizer
+
+
 def test_the_paper_has_no_stages() -> None:
     assert train_options("tptn-paper", steps=1).stages == ()
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,14 @@ from motionkit.models.predictor import Predictor
 from motionkit.models.presets import preset
 from motionkit.motion.bvh import write_bvh
 from motionkit.training import rehearsal
-from motionkit.training.initial_network import INITIAL_SHARE, InitialNetwork, check_start, similar_types
+from motionkit.training.initial_network import (
+    INITIAL_SHARE,
+    InitialNetwork,
+    _with_head,
+    begin,
+    check_start,
+    similar_types,
+)
 from motionkit.training.presets import FINE_TUNE, fine_tune_options
 from motionkit.training.rehearsal import keep_types
 from motionkit.training.trainer import train
@@ -92,6 +100,15 @@ def test_training_from_the_bundled_model_keeps_its_weights_and_scaling(foreign: 
     for name, value in bundled.network.arrays.items():
         if made.network.arrays[name].shape == value.shape:
             assert np.allclose(made.network.arrays[name], value, atol=1e-5), name
+
+
+def test_a_network_has_the_head_of_the_model_that_it_begins_from(foreign: Path) -> None:
+    """Its leak has no weights, and its momentum would be left out."""
+    options = fine_tune_options("tptn", steps=1, config={"head_leak": 0.5, "head_momentum": True})
+    assert begin(Dataset(foreign), options).network.config.head.head_leak == 0.5, "it was asked for"
+    of_model = load_bundled_model().config
+    absolute = replace(of_model, head=replace(of_model.head, head_leak=0.0, head_momentum=False))
+    assert _with_head(absolute, of_model, {}) == of_model
 
 
 def test_added_types_leave_those_of_the_model_as_they_are(foreign: Path, tmp_path: Path) -> None:

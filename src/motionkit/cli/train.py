@@ -224,7 +224,7 @@ class Run:
     type=FILE,
     help="Page (.html) or contact sheet (.png) of the motions of each evaluation so far.",
 )
-@click.option("--half", is_flag=True, help="Store the weights in 16 bits, half the size.")
+@click.option("--half", is_flag=True, help="Store weights and start poses in 16 bits, half the size.")
 @seed_option
 @json_option
 @gathered("begins", InitialModel)

@@ -73,15 +73,17 @@ def described(body: Body, mirrored: bool = False) -> Floats:
 def recorded_windows(dataset: Dataset, split: str, mirrored: bool = False) -> dict[str, Floats]:
     """Return the descriptions of the recordings of each type in a split, with their mirror images if mirrored.
 
-    A mirror image whose recording is in another split stands for it then.
+    A mirror image whose recording is in another split stands for it then, and has no mirror image: that is the
+    recording.
     """
     found: dict[str, list[Floats]] = {}
+    elsewhere = {clip.start for clip in dataset.clips if clip.split != split}
     recordings = {clip.start for clip in dataset.select(split) if not clip.mirrored}
     for clip, start, end, kind in dataset.stretches(split):
         if not clip.mirrored or (mirrored and clip.start not in recordings):
             body = body_of(dataset.motion(clip, dataset.read(clip, start, end)))
             found.setdefault(kind, []).append(described(body))
-            if mirrored:
+            if mirrored and clip.start not in elsewhere:
                 other = dataset.types[dataset.mirrored_type_ids[dataset.types.index(kind)]]
                 found.setdefault(other, []).append(described(body, True))
     return {kind: np.concatenate(parts) for kind, parts in found.items() if sum(map(len, parts))}

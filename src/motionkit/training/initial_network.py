@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,6 +17,7 @@ from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
 from motionkit.models.architectures import build
 from motionkit.models.bundled import open_model
+from motionkit.models.config import ModelConfig, PredictorConfig
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType, ReferenceClip, facing_velocity
 from motionkit.models.predictor import Predictor
@@ -26,6 +29,7 @@ from motionkit.training.rehearsal import keep_types
 # "Robust fine-tuning of zero-shot models"); docs/results-log.md has its effect.
 INITIAL_SHARE = 0.25
 USUAL_SPEED = 50.0  # cm/s that weigh as much as a unit of the pose embedding when types are compared
+HEAD = ("head_leak", "head_momentum", "trajectory_skip")  # fields of a part transformer's head
 CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight")
 
 
@@ -78,6 +82,7 @@ def begin(dataset: Dataset, options: TrainOptions) -> InitialNetwork:
         layout = ControlLayout(dataset.types, config.controls)
         return InitialNetwork(build(config, layout.size), layout)
     model = open_model(options.init)
+    config = _with_head(config, model.config, options.config)
     check_start(dataset, model)
     repeated = repeat_short_types(dataset)
     names = keep_types(dataset, model, options.seed) if options.sampler.kept_share else ()
@@ -88,6 +93,16 @@ def begin(dataset: Dataset, options: TrainOptions) -> InitialNetwork:
     new_types = tuple(set(dataset.types) - set(model.types))
     kept = {name: model.types[name] for name in names}
     return InitialNetwork(network, layout, kept, repeated, weights, new_types)
+
+
+def _with_head(
+    config: PredictorConfig, of_model: PredictorConfig, given: Mapping[str, Any]
+) -> PredictorConfig:
+    """The config with the head of the model's network, which has no weights of its own and could be missed silently."""
+    if not isinstance(config, ModelConfig) or not isinstance(of_model, ModelConfig):
+        return config
+    same = {name: getattr(of_model.head, name) for name in HEAD if name not in given}
+    return replace(config, head=replace(config.head, **same))
 
 
 def check_start(dataset: Dataset, model: MotionModel) -> None:

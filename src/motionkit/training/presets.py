@@ -106,8 +106,13 @@ def train_options(
 def fine_tune_options(
     name: str, init: str = BUNDLED, steps: int | None = None, minutes: float | None = None, **changes: Any
 ) -> TrainOptions:
-    """Return the options of a run that starts from a model file, or "bundled"; arguments as for train_options."""
+    """Return the options of a run that starts from a model file, or "bundled"; arguments as for train_options.
+
+    Presets that train as the paper does also do so from a model.
+    """
     chosen = {option: value for option, value in changes.items() if value is not None}
+    if preset(name).controls == "paper":
+        return train_options(name, steps, minutes, init=init, **chosen)
     splices = _splices(FINE_TUNE["splices"], FINE_TUNE_MINUTES, minutes, steps)
     return train_options(name, steps, minutes, init=init, **(FINE_TUNE | {"splices": splices} | chosen))
 

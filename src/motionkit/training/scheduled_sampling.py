@@ -87,9 +87,10 @@ class PredictedInputs:
         reference_columns = slice(network.control_size - 1 - REFERENCE_COUNT, network.control_size - 1)
         phase = slice(reference_columns.start - 2, reference_columns.start)
         reference_gain = controls[..., network.control_size - 1] > 0
-        if network.config.controls == "paper":  # no reference poses
-            reference_gain = torch.zeros_like(reference_gain)
-        timed = reference_gain | (controls[..., phase] != 0.0).any(dim=-1)
+        if network.config.controls == "paper":  # neither reference poses nor a phase
+            timed = reference_gain = torch.zeros_like(reference_gain)
+        else:
+            timed = reference_gain | (controls[..., phase] != 0.0).any(dim=-1)
         stays = chance >= torch.where(timed, options.reference_back, options.back)
         limit = torch.where(timed, options.reference_limit, options.limit)
         inputs, contacts, controls, mask = (x.clone() for x in (inputs, contacts, controls, mask))
