@@ -79,6 +79,30 @@ def test_baselines_train_and_roll_out(name: str, paper_folder: Path, tmp_path: P
     assert np.isfinite(made.root_positions).all() and np.ptp(made.local_rotations, axis=0).max() > 1e-4
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_frames_beyond_the_end_of_a_clip_do_not_count(name: str, paper_folder: Path) -> None:
+    dataset = Dataset(paper_folder)
+    options = SamplerOptions(window=64, splices=0)
+    sampler = WindowSampler(dataset, options, controls="paper")
+    batch = sampler.batch(0, 4)
+    torch.manual_seed(0)
+    network = build(preset(name, **SMALL[name]), sampler.controls.size).eval()
+    losses = []
+    for noise in (0.0, 3.0):
+        mask = batch.mask.clone()
+        mask[:, 40:] = 0.0
+        changed = {"mask": mask}
+        for field in ("inputs", "targets", "controls"):
+            value = getattr(batch, field).clone()
+            # What is seen of the first padded frame is the target of the last one that counts.
+            value[:, 41 if field != "targets" else 40 :] += noise
+            changed[field] = value
+        torch.manual_seed(1)
+        found = network.losses(Batch(**(vars(batch) | changed)), FeatureSpace.of(dataset), 0.5)
+        losses.append({key: float(value.detach()) for key, value in found.items()})
+    assert losses[1] == pytest.approx(losses[0], rel=1e-4, abs=1e-6)
+
+
 # In millions, for the paper's 21 types. Of NeuralLayering the number of experts is unknown, of PFNN the input differs.
 @pytest.mark.parametrize(("name", "paper", "share"), [("mvae", 2.03, 0.05), ("htss", 4.7, 0.1)])
 def test_parameters_are_near_those_of_the_paper(name: str, paper: float, share: float) -> None:
@@ -272,7 +296,7 @@ def test_the_stepper_is_trained_on_its_own_steps() -> None:
     with torch.no_grad():
         for values in network.stepper[-1].parameters():
             values.zero_()
-        standing = network._stepper_loss(state)
+        standing = network._stepper_loss(state, torch.ones(state.shape[:2]))
     runs = state[:, : 2 * SEARCHED].reshape(6, SEARCHED, -1)
     assert torch.allclose(standing, (runs[:, :1] - runs[:, 1:]).abs().mean(), atol=1e-5)
 
@@ -290,5 +314,5 @@ def test_the_projector_learns_the_nearest_of_the_batch() -> None:
             return state[nearest]
 
     network.projector = Oracle()  # type: ignore[assignment]
-    assert float(network._projector_loss(state)) == 0.0
+    assert float(network._projector_loss(state, torch.ones(len(state)))) == 0.0
     assert (found[0] - state[:, : network.matching_size]).abs().max() > 0.5

@@ -20,7 +20,13 @@ from motionkit.lab.held_out import continued, held_out
 from motionkit.lab.networks.baseline import MemorylessStream
 from motionkit.lab.paper.batched_rollouts import _Batch, roll_out
 from motionkit.lab.paper.datasets import select
-from motionkit.lab.paper.held_out_errors import FEWEST, held_out_errors, open_loop_starts
+from motionkit.lab.paper.held_out_errors import (
+    FEWEST,
+    WINDOW,
+    _predicted,
+    held_out_errors,
+    open_loop_starts,
+)
 from motionkit.lab.paper.protocol import means, sequence_controls
 from motionkit.lab.statistics import rounded
 from motionkit.models.architectures import network_class
@@ -43,6 +49,20 @@ SIZES = {
 @pytest.fixture(scope="module")
 def dataset(paper_folder: Path) -> Dataset:
     return select(paper_folder, "all")
+
+
+@pytest.mark.parametrize("name", ["learned-motion-matching", "pfnn"])
+def test_every_given_frame_is_looked_at(name: str) -> None:
+    """Also by networks that in roll-outs search now and then, or step by a phase of their own."""
+    torch.manual_seed(0)
+    size = ControlLayout(("walking", "running"), "paper").size
+    network = network_class(name)(preset(name, hidden=16), size).eval()
+    x, controls = torch.randn(1, WINDOW, FEATURE_COUNT), torch.randn(1, WINDOW, size)
+    contacts = torch.rand(1, WINDOW, CONTACT_COUNT).round()
+    first = _predicted(network, x, contacts, controls).mean
+    x[:, 45], contacts[:, 40:80] = torch.randn(1, FEATURE_COUNT), 1.0 - contacts[:, 40:80]
+    other = _predicted(network, x, contacts, controls).mean
+    assert not torch.equal(first[:, 45], other[:, 45]) and torch.equal(first[:, :40], other[:, :40])
 
 
 class Copying(Predictor):

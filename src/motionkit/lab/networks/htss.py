@@ -61,6 +61,14 @@ class Discriminator(nn.Module):
     def forward(self, frames_BTF: Tensor) -> Tensor:
         return self.layers(steps(frames_BTF).transpose(1, 2))
 
+    @staticmethod
+    def whole(mask: Tensor) -> Tensor:
+        """Return which of its windows (B, 1, W) hold frames of a mask (B, T) only."""
+        padded = 1.0 - (mask[:, 1:] * mask[:, :-1] > 0.0).float()[:, None]
+        for _ in range(2):
+            padded = F.max_pool1d(padded, DISCRIMINATOR_KERNEL, stride=2)
+        return 1.0 - padded
+
 
 class BodyEncoder(Predictor):
     """Embeds five parts, with the torso as arms and legs, and these as upper and lower body."""
@@ -155,13 +163,13 @@ class TwoStream(BodyEncoder):
             "velocity": smooth(steps(made.mean), steps(batch.targets), mask[:, 1:]),
             "embedding": torch.stack([smooth(a.float(), b.detach().float()) for a, b in embedded]).sum(),
             "autoencoded": smooth(self._autoencoded(batch.inputs), batch.inputs),
-            "gan": self._fooled(made.mean),
+            "gan": self._fooled(made.mean, mask),
         }
         return {
             **{name: WEIGHTS[name] * value for name, value in terms.items()},
             "trajectory": smooth(made.trajectory_mean, batch.trajectory),
             "contact": contact_loss(made, batch),
-            "discriminator": self._discriminator_loss(made.mean, batch.targets),
+            "discriminator": self._discriminator_loss(made.mean, batch.targets, mask),
         }
 
     def _autoencoded(self, x: Tensor) -> Tensor:
@@ -172,22 +180,26 @@ class TwoStream(BodyEncoder):
         ]
         return self.pose(decoded).float()
 
-    def _fooled(self, made: Tensor) -> Tensor:
+    def _fooled(self, made: Tensor, mask: Tensor) -> Tensor:
         """Return how little the discriminator takes predictions for recordings; its weights get no gradient."""
         fixed = {name: value.detach() for name, value in self.discriminator.named_parameters()}
         logits = functional_call(self.discriminator, fixed, (made,)).float()
-        return F.binary_cross_entropy_with_logits(logits, torch.ones_like(logits))
+        return _told(logits, 1.0, mask)
 
-    def _discriminator_loss(self, made: Tensor, real: Tensor) -> Tensor:
+    def _discriminator_loss(self, made: Tensor, real: Tensor, mask: Tensor) -> Tensor:
         """Return how badly the discriminator tells predictions from recordings; predictions get no gradient."""
         false, true = self.discriminator(made.detach()).float(), self.discriminator(real).float()
-        return F.binary_cross_entropy_with_logits(
-            false, torch.zeros_like(false)
-        ) + F.binary_cross_entropy_with_logits(true, torch.ones_like(true))
+        return _told(false, 0.0, mask) + _told(true, 1.0, mask)
 
     def stream(self, batch: int) -> TwoStreamState:
         """Return the state of a batch of characters."""
         return TwoStreamState(self)
+
+
+def _told(logits: Tensor, recorded: float, mask: Tensor) -> Tensor:
+    """Return how badly logits (B, 1, W) of a Discriminator tell that windows are recorded (1) or not (0)."""
+    wanted = torch.full_like(logits, recorded)
+    return F.binary_cross_entropy_with_logits(logits, wanted, weight=Discriminator.whole(mask))
 
 
 class TwoStreamState:

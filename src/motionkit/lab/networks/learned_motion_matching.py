@@ -101,30 +101,31 @@ class LearnedMotionMatching(Predictor):
             "contact": rebuilt["contact"],
             "step": WEIGHTS["step"]
             * masked_mean((steps(made.mean) - steps(batch.inputs)).square(), batch.mask[:, 1:]),
-            "size": WEIGHTS["size"] * latent.float().square().mean(),
-            "rough": WEIGHTS["rough"] * steps(latent.float()).abs().mean(),
-            "stepper": self._stepper_loss(known),
-            "projector": self._projector_loss(known.flatten(0, 1)),
+            "size": WEIGHTS["size"] * masked_mean(latent.float().square(), batch.mask),
+            "rough": WEIGHTS["rough"] * masked_mean(steps(latent.float()).abs(), batch.mask[:, 1:]),
+            "stepper": self._stepper_loss(known, batch.mask),
+            "projector": self._projector_loss(known.flatten(0, 1), batch.mask.flatten()),
         }
 
-    def _stepper_loss(self, state: Tensor) -> Tensor:
-        """Return the mean distance of SEARCHED steps, each from the one before, from states (B, T, M + Z)."""
+    def _stepper_loss(self, state: Tensor, mask: Tensor) -> Tensor:
+        """Return the mean distance of SEARCHED steps, each from the one before, from states (B, T, M + Z) of a mask."""
         runs = max(1, state.shape[1] // SEARCHED)
         length = min(SEARCHED, state.shape[1])
         true = state[:, : runs * length].reshape(-1, length, state.shape[-1])
         at, errors = true[:, 0], []
         for t in range(1, length):
             at = at + self.stepper(at).float()
-            errors.append((at - true[:, t]).abs().mean())
-        return torch.stack(errors).mean()
+            errors.append((at - true[:, t]).abs())
+        return masked_mean(torch.stack(errors, dim=1), mask[:, : runs * length].reshape(-1, length)[:, 1:])
 
-    def _projector_loss(self, state: Tensor) -> Tensor:
-        """Return the mean distance of projected queries from the nearest of the states (N, M + Z)."""
+    def _projector_loss(self, state: Tensor, mask: Tensor) -> Tensor:
+        """Return the mean distance of projected queries from the nearest of the states (N, M + Z) of a mask (N,)."""
         features = state[:, : self.matching_size]
         noise = torch.rand(len(features), 1, device=features.device) * torch.randn_like(features)
         queries = features + noise
-        nearest = torch.cdist(queries, features).argmin(dim=1)
-        return (self.projector(queries).float() - state[nearest]).abs().mean()
+        apart = torch.cdist(queries, features)
+        nearest = torch.where(mask > 0.0, apart, torch.inf).argmin(dim=1)
+        return ((self.projector(queries).float() - state[nearest]).abs().mean(dim=-1) * mask).mean()
 
     def stream(self, batch: int) -> MatchingStream:
         """Return the state of a batch of characters."""

@@ -142,10 +142,11 @@ def _windows(dataset: Dataset, kind: str) -> Iterator[list[Tensor]]:
 
 @torch.inference_mode()
 def _predicted(network: Predictor, x: Tensor, contacts: Tensor, controls: Tensor) -> NextFrame:
-    """The predictions for all frames of windows: at once by part transformers, else frame by frame."""
+    """The predictions for all frames of windows, from recorded ones: at once by part transformers, else one by one."""
     if isinstance(network, PartTransformer):
         return network(x, contacts, controls)
     stream = network.stream(len(x))
+    stream.reset(WINDOW)  # all are given, so that each is looked at
     return stacked([stream.step(x[:, t], contacts[:, t], controls[:, t]) for t in range(WINDOW)])
 
 

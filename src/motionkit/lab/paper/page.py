@@ -55,9 +55,9 @@ corrections. A cell of the tables is the mean over seeds, ± the standard deviat
 (its own data, 2000 epochs; table 3: PFNN's data). Bold is a best value that is better by more than the spread. The
 columns are `bm-euler` (BM, best nearest to the recorded one), `afs`, `ssim-channel`, `mpjpe` and `path-mean` of
 [metrics.md](metrics.md). BM of drawn frames grows with sigma, so it says little of the movement; BM by mean does. w/o-F
-is fed contacts that are labelled by height and speed of its feet. In the error one frame ahead, LearnedMM searches
-every 20 frames only, and PFNN is told of the first contacts only, so theirs is of more than a frame. The consistency
-loss, and losses of LearnedMM and HTSS, also counted frames beyond the end of short clips.
+is fed contacts that are labelled by height and speed of its feet. When these results were made, LearnedMM
+searched every 20 frames only, and PFNN was told of the first contacts only, so their error is of more than one frame;
+the consistency loss, and losses of LearnedMM and HTSS, also counted frames beyond the end of short clips.
 """
 
 TABLES_HEAD = """# Tables of the experiments
