@@ -12,7 +12,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, BinaryIO
@@ -382,6 +382,15 @@ def parse_json(text: str, where: str | Path, error: type[MotionkitError] = Motio
         return json.loads(text, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
     except (ValueError, RecursionError) as fault:
         raise error(f"{where}: not JSON ({fault})") from None
+
+
+def check_fields(
+    entry: Mapping[str, Any], known: Sequence[str], where: str | Path, error: type[MotionkitError]
+) -> None:
+    """Raise `error`, which says where it is from, for a field of a JSON object that is not known."""
+    unknown = sorted(set(entry) - set(known))
+    if unknown:
+        raise error(f"{where}: unknown field {unknown[0][:40]!r}, expected {', '.join(known)}")
 
 
 def _check_json_depth(text: str, where: str | Path, error: type[MotionkitError]) -> None:

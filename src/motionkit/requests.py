@@ -154,10 +154,12 @@ def loop_wish(types: str | Sequence[str], seconds: float | None) -> float | None
         ControlError: a loop is of several types, or they have different lengths.
     """
     texts = [types] if isinstance(types, str) else types
+    times = set()
     for text in texts:
-        if len(parse_types(text)) > 1:
+        first, *others = parse_types(text)
+        if others:
             raise ControlError(f"a loop takes one motion type, such as walking, found {text!r}")
-    times = {part.seconds for text in texts if ":" in text for part in parse_types(text)}
+        times |= {first.seconds} if ":" in text else set()
     if seconds is None and len(times) > 1:
         found = ", ".join(f"{time:g}" for time in sorted(times))
         raise ControlError(f"expected one length in seconds for all loops, found {found}")

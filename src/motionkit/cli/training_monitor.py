@@ -120,9 +120,8 @@ class TrainingMonitor:
         total = f" of {self.steps}" if self.steps else ""
         done = f"step {event.step}{total}, {event.share:.0%}"
         began = self.began
-        if (
-            began is None or event.seconds <= began.seconds or event.share <= began.share
-        ):  # too early to measure
+        # At first it is too early to measure.
+        if began is None or event.seconds <= began.seconds or event.share <= began.share:
             return done
         seconds = event.seconds - began.seconds
         left = seconds * (1.0 - event.share) / (event.share - began.share)

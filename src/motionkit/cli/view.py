@@ -24,13 +24,14 @@ from motionkit.cli.common import (
     say,
 )
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import BODIES, body_option, default_output, describe_input, input_lines
+from motionkit.cli.outputs import body_option, default_output, describe_input, input_lines
 from motionkit.cli.rig_options import RIG_FILE, RigChoice, open_rig
 from motionkit.cli.showing import open_in_browser
 from motionkit.errors import naming
 from motionkit.names import counted, visible
 
 if TYPE_CHECKING:
+    from motionkit.export.clip import Clip
     from motionkit.rig.rig import Rig
     from motionkit.view.figure_data import MotionView
 
@@ -118,9 +119,10 @@ def command(
 
         path = read_path(path_file).points
     read = [
-        _read_view(clip, visible(name), choice.rig) for clip, name in zip(clips, _names(clips), strict=True)
+        _read_view(clip, visible(name), choice.rig, body)
+        for clip, name in zip(clips, _names(clips), strict=True)
     ]
-    views = [replace(_bodied(one, body), path=path) for one, _ in read]
+    views = [replace(one, path=path) for one, _ in read]
     replaced = target.exists()
     with Stages() as show, choice.as_written():
         write_views(target, views, progress=lambda done, total: show("drawing", done, total), **sizes)
@@ -146,30 +148,33 @@ def command(
             say(line)
 
 
-def _bodied(view: MotionView, body: str | None) -> MotionView:
-    """The view with one of BODIES, also in place of a body that motionkit made."""
-    if body and view.character is not None and view.character.tree.file.by_motionkit():
-        view = replace(view, character=None)
-    return replace(view, body=body or BODIES[0])
+def _view(name: str, clip: Clip) -> MotionView:
+    """A clip to show, on the character into whose file it would be written, else on a body."""
+    from motionkit.view.figure_data import MotionView
+
+    return MotionView(name, clip.motion, character=clip.host, body=clip.new_body)
 
 
-def _read_view(path: Path, name: str, rig: Rig | None) -> tuple[MotionView, str]:
-    """The motion of a file of any kind, on the rig if there is one; and how the file was read."""
+def _read_view(path: Path, name: str, rig: Rig | None, body: str | None) -> tuple[MotionView, str]:
+    """The motion of a file of any kind, on the rig if there is one; and how the file was read.
+
+    body is one of BODIES, also in place of a body that motionkit made; None for that, or the first.
+    """
+    from motionkit.export.clip import Clip
     from motionkit.export.formats import read_clip
     from motionkit.finish.on_rig import on_rig
     from motionkit.motion.bvh import bvh_to_motion
     from motionkit.rig.on_rig import canonical_for
     from motionkit.rig.read_file import read_file
     from motionkit.view.body import check_bones
-    from motionkit.view.figure_data import MotionView
 
     if rig is not None:
         bvh = read_file(path)
         with naming(path):
             made = on_rig(canonical_for(bvh, rig)[0], rig)
-        return MotionView(name, made, character=rig.character), describe_input(bvh_to_motion(bvh))
-    clip = read_clip(path)
-    view = MotionView(name, clip.motion, character=clip.character)
+        return _view(name, Clip(made, character=rig.character, body=body)), describe_input(bvh_to_motion(bvh))
+    clip = replace(read_clip(path), body=body)
+    view = _view(name, clip)
     if view.skinned_character is None:
         with naming(path):
             check_bones(clip.motion)

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.path import check_fields
 from motionkit.errors import BvhError, ControlError, MotionkitError, naming
 from motionkit.features.encode import EncodedMotion, encode_motion
-from motionkit.files import read_json
+from motionkit.files import check_fields, read_json
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import (
@@ -123,7 +122,7 @@ def read_keys(path: str | Path, model: MotionModel, start: Array | None = ORIGIN
     entries = value.get("keys") if isinstance(value, dict) else None
     if not isinstance(entries, list) or not 0 < len(entries) <= MOST_KEYS:
         raise ControlError(f'{path}: expected {{"keys": [...]}} with 1 to {MOST_KEYS} keys')
-    check_fields(value, ("keys",), str(path))
+    check_fields(value, ("keys",), path, ControlError)
     files = _Files(Path(path).parent, model)
     by_file = sorted(enumerate(entries, 1), key=lambda numbered: _file_of(numbered[1]))
     keys = [_key(f"{path}: key {number}", entry, files) for number, entry in by_file]
@@ -176,7 +175,7 @@ def check_length(keys: Sequence[Key], seconds: float) -> None:
 def _key(where: str, entry: Any, files: _Files) -> Key:
     if not isinstance(entry, dict):
         raise ControlError(f"{where}: expected an object, found {str(entry)[:40]}")
-    check_fields(entry, _FIELDS, where)
+    check_fields(entry, _FIELDS, where, ControlError)
     if "time" not in entry:
         raise ControlError(f"{where}: expected its time in seconds, found none")
     seconds = _numbers(where, "time", [entry.get("time")], 1, EARLIEST, 3600.0)[0]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from ctypes import byref
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ import numpy as np
 from motionkit.arrays import Array, length
 from motionkit.control.steering_kernel import Part, steering_library
 from motionkit.errors import ControlError, naming
-from motionkit.files import parse_json, read_text
+from motionkit.files import check_fields, parse_json, read_text
 from motionkit.names import nfc, unknown_name
 
 METRE = 100.0
@@ -231,13 +231,13 @@ def _json_parts(file: Path, text: str) -> list[PathPart]:
     entries = value.get("parts") if isinstance(value, dict) else value
     if not isinstance(entries, list) or not entries:
         raise ControlError(f'{file}: expected {{"parts": [...]}} with at least one part')
-    check_fields(value if isinstance(value, dict) else {}, ("parts",), str(file))
+    check_fields(value if isinstance(value, dict) else {}, ("parts",), file, ControlError)
     parts = []
     for number, entry in enumerate(entries, 1):
         where = f"{file}: part {number}"
         if not isinstance(entry, dict) or not isinstance(entry.get("type"), str):
             raise ControlError(f"{where}: expected an object with type and points")
-        check_fields(entry, _FIELDS, where)
+        check_fields(entry, _FIELDS, where, ControlError)
         points = entry.get("points")
         if not isinstance(points, list) or not all(_is_point(p) for p in points) or not points:
             raise ControlError(
@@ -249,13 +249,6 @@ def _json_parts(file: Path, text: str) -> list[PathPart]:
                 raise ControlError(f"{where}: expected a number for {name}, found {str(found)[:40]!r}")
         parts.append(_part(where, points, entry["type"], speed, stop or 0.0))
     return parts
-
-
-def check_fields(entry: Mapping[str, Any], known: Sequence[str], where: str) -> None:
-    """Raise ControlError for a field of a JSON object that is not known."""
-    unknown = sorted(set(entry) - set(known))
-    if unknown:
-        raise ControlError(f"{where}: unknown field {unknown[0][:40]!r}, expected {', '.join(known)}")
 
 
 def _is_number(value: object) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.metrics.similarity import expmaps_like, joint_expmaps
+from motionkit.metrics.similarity import expmap_pair
 from motionkit.metrics.value import MetricValue, need
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -66,8 +66,7 @@ def power_spectrum_similarity(motion: Motion, truth: Motion) -> MetricValue:
         MotionkitError: the motions differ in length.
     """
     _same_length(motion, truth)
-    maps = joint_expmaps(truth)
-    made, real = _power(expmaps_like(joint_expmaps(motion), maps)), _power(maps)
+    made, real = map(_power, expmap_pair(motion, truth))
     return MetricValue("npss", power_distance(made, real), "")
 
 

@@ -28,7 +28,7 @@ from motionkit.metrics.prediction import (
     power_spectrum_similarity,
     rotation_distance,
 )
-from motionkit.metrics.similarity import expmaps_like, joint_expmaps, structural_similarity
+from motionkit.metrics.similarity import expmap_pair, structural_similarity
 from motionkit.metrics.smoothness import jerk_extremes, mean_jerk
 from motionkit.metrics.touch import (
     GROUPS,
@@ -357,8 +357,7 @@ def _single_metrics(
 
 
 def _pair_metrics(motion: Motion, reference: Motion, settings: MetricSettings) -> list[MetricRow]:
-    theirs = joint_expmaps(reference)
-    mine = expmaps_like(joint_expmaps(motion), theirs)
+    mine, theirs = expmap_pair(motion, reference)
     places, true_places = motion_kinematics(motion)[1], motion_kinematics(reference)[1]
     track, path = ground_track(motion.root_positions), ground_track(reference.root_positions)
     values = [

@@ -41,6 +41,12 @@ def expmaps_like(generated: Array, reference: Array) -> Array:
     return np.where(nearer, other, made).reshape(generated.shape)
 
 
+def expmap_pair(motion: Motion, truth: Motion) -> tuple[Array, Array]:
+    """Return the exponential maps (T, 69) of two motions of one length, those of the first like those of the second."""
+    maps = joint_expmaps(truth)
+    return expmaps_like(joint_expmaps(motion), maps), maps
+
+
 def structural_similarity(
     generated: Array, reference: Array, kind: str = "window", settings: MetricSettings | None = None
 ) -> MetricValue:

@@ -92,14 +92,12 @@ def _still(folder: str, results: Results) -> list[str]:
     if not moved:
         return []
     ordered = sorted(moved, key=lambda name: moved[name])
+    shares = [f"{name} ({moved[name]:.0%})" for name in ordered]
     # The least and the most of many are enough.
-    named_ones = ordered if len(ordered) < len(trained) / 2 else [ordered[0], ordered[-1]]
-    shares = (", " if len(ordered) < len(trained) / 2 else " to ").join(
-        f"{name} ({moved[name]:.0%})" for name in named_ones
-    )
+    words = ", ".join(shares) if len(shares) < len(trained) / 2 else f"{shares[0]} to {shares[-1]}"
     lines = [
         f"`{folder}`: by mean, {len(moved)} of {counted(len(trained), 'network')} move less than half as much as the "
-        f"recordings: {shares}."
+        f"recordings: {words}."
     ]
     figures = [figure_at(named(results, "TPTN"), "by-mean", "all", metric, 0) for metric in ("mpjpe", "afs")]
     if certain and all(figures):
