@@ -301,8 +301,12 @@ def test_feature_difference_by_hand() -> None:
     features[1, ..., 0] = 3.0
     features[2, ..., 1] = 4.0
     features[..., 4] = torch.tensor([0.0, 50.0, 90.0]).reshape(3, 1, 1)  # not a shared channel
-    assert float(feature_difference(features, 4)) == pytest.approx((3.0 + 4.0 + 5.0) / 3, abs=1e-3)
-    assert float(feature_difference(features[:1], 4)) == 0.0, "one part has nobody to differ from"
+    whole = torch.ones(1, 1)
+    assert float(feature_difference(features, 4, whole)) == pytest.approx((3.0 + 4.0 + 5.0) / 3, abs=1e-3)
+    assert float(feature_difference(features[:1], 4, whole)) == 0.0, "one part has nobody to differ from"
+    padded = torch.cat([features, 9.0 * features], dim=2)
+    one = torch.tensor([[2.0, 0.0]])  # a window of two frames that ends after the first
+    assert float(feature_difference(padded, 4, one)) == pytest.approx((3.0 + 4.0 + 5.0) / 3, abs=1e-3)
 
 
 def test_safe_norm_has_a_gradient_at_zero() -> None:

@@ -103,6 +103,10 @@ def test_smoothness_loss_by_hand() -> None:
     straight = torch.arange(6.0).reshape(1, 6, 1).expand(1, 6, 3)
     assert float(losses.smoothness_loss(straight, torch.ones(1, 6))) < 2e-4
     assert float(losses.smoothness_loss(mean[:, :2], ONES[:, :2])) == 0.0
+    for frame in range(3):
+        mask = torch.ones(1, 4)
+        mask[0, frame] = 0.0  # one of the frames of the first difference, the only one that is not 0
+        assert float(losses.smoothness_loss(mean, mask)) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_contact_loss_by_hand() -> None:

@@ -12,12 +12,14 @@ from motionkit.models.batch import FeatureSpace
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.training.losses import Batch
+from motionkit.training.presets import train_options
 from motionkit.training.sampler import WindowSampler, window_generator
 from motionkit.training.scheduled_sampling import (
     PredictedInputs,
     ScheduledSamplingOptions,
     sampled_windows,
 )
+from motionkit.training.window_blocks import WindowBlocks
 from motionkit.training.windows import ControlSampling, SamplerOptions
 
 ROOT = feature_layout().blocks["root_rotation"]
@@ -167,6 +169,43 @@ def test_the_share_of_windows_does_not_depend_on_processes(share: float) -> None
     whole = sampled_windows(0, 16, share)
     halves = sampled_windows(0, 8, share) + [8 + i for i in sampled_windows(8, 8, share)]
     assert whole == halves and len(whole) == int(16 * share)
+
+
+def test_the_noise_has_deviation_one_from_the_first_frame(
+    network: PartTransformer, batch: Batch, sampler: WindowSampler
+) -> None:
+    noisy = replace(ALWAYS, temperature=1e-3)
+    quiet = replace(ALWAYS, temperature=0.0)
+    first = [
+        run_on_predictions(network, batch, o, generators(), sampler).inputs[:, 1] for o in (noisy, quiet)
+    ]
+    network.eval()
+    with torch.no_grad():
+        made = network(batch.inputs, batch.contacts, batch.controls)
+    network.train()
+    noise = ((first[0] - first[1]) / 1e-3 * torch.exp(-made.log_sigma[:, 0]))[:, OTHERS]
+    assert float(noise.std()) == pytest.approx(1.0, abs=0.08)
+
+
+@pytest.mark.parametrize(("batch", "processes"), [(1, 1), (2, 1), (16, 2)])
+def test_batches_of_any_size_have_the_share(
+    network: PartTransformer, sampler: WindowSampler, batch: int, processes: int
+) -> None:
+    options = train_options(
+        "tiny", steps=99, batch=batch, share=0.4, limit=1e9, reference_limit=1e9, back=0.0
+    )
+    options = replace(options, sampler=sampler.options, stages=())
+    fed = 0
+    for first in range(0, batch, batch // processes):
+        places = range(first, first + batch // processes)
+        blocks = WindowBlocks(sampler, network, options, places)
+        for step in range(16):
+            made = blocks.next(step, 0.0)
+            assert len(made.inputs) == len(places)
+            recorded = {x.numpy().tobytes() for x in sampler.batch(step, batch, first, len(places)).inputs}
+            fed += sum(x.numpy().tobytes() not in recorded for x in made.inputs)
+        blocks.close()
+    assert fed == int(0.4 * 16 * batch)
 
 
 def test_the_step_in_c_and_the_one_in_torch_make_the_same_inputs(

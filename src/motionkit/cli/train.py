@@ -171,7 +171,7 @@ class Run:
 @click.option(
     "--step-weight",
     type=FiniteRange(0.0, 1000.0),
-    help="Weight of the loss on foot sliding; by default 0, and 35 once the network makes steps.",
+    help="Weight of the loss on foot sliding; by default 0, and 10 once the network makes steps.",
 )
 @click.option(
     "--step-except",

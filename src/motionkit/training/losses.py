@@ -73,13 +73,16 @@ def shared_data(network: PartTransformer, x_BTF: Tensor) -> Tensor:
     return x_BTF[..., columns]
 
 
-def feature_difference(features: Tensor, channels: int) -> Tensor:
-    """Return the mean distance between the shared channels of pairs of parts (paper L_feat), a scalar."""
+def feature_difference(features: Tensor, channels: int, mask: Tensor) -> Tensor:
+    """Return the mean distance between the shared channels of pairs of parts (paper L_feat), a scalar.
+
+    features are (P, B, T, D).
+    """
     shared = features[..., :channels].float()
     pairs = [(p, q) for p in range(len(shared)) for q in range(p)]
     if not pairs:
         return torch.zeros((), device=features.device)
-    return torch.stack([safe_norm(shared[p] - shared[q]).mean() for p, q in pairs]).mean()
+    return torch.stack([_mean(safe_norm(shared[p] - shared[q]), mask) for p, q in pairs]).mean()
 
 
 def safe_norm(x: Tensor) -> Tensor:
@@ -124,10 +127,11 @@ def squared_loss(mean: Tensor, target: Tensor, mask: Tensor) -> Tensor:
 
 
 def smoothness_loss(mean: Tensor, mask: Tensor) -> Tensor:
-    """Return the norm of the second difference of the predicted means (L_s)."""
+    """Return the norm of the second difference of the predicted means (L_s), where all three frames count."""
     if mean.shape[1] < 3:
         return torch.zeros((), device=mean.device)
-    return _mean(safe_norm(mean[:, :-2] + mean[:, 2:] - 2.0 * mean[:, 1:-1]), mask[:, 2:])
+    count = mask[:, 2:] * (mask[:, :-2] > 0) * (mask[:, 1:-1] > 0)
+    return _mean(safe_norm(mean[:, :-2] + mean[:, 2:] - 2.0 * mean[:, 1:-1]), count)
 
 
 def contact_loss(logits: Tensor, target: Tensor, mask: Tensor) -> Tensor:
@@ -257,10 +261,11 @@ def consistency_loss(
     Recorded frames are the targets of the frames before, because inputs are noisy or predicted.
     """
     channels = network.config.embedding.shared_channels
-    alike = feature_difference(prediction.shallow, channels) + feature_difference(prediction.deep, channels)
+    levels = (prediction.shallow, prediction.deep)
+    alike = torch.stack([feature_difference(level, channels, batch.mask) for level in levels]).sum()
     truth = shared_data(network, torch.cat([batch.inputs[:, :1], batch.targets[:, :-1]], dim=1))
     root = torch.zeros((), device=truth.device)
-    for decoded in modules(prediction.shallow, prediction.deep):
+    for decoded in modules(*levels):
         for part in decoded:
             root = root + _mean(safe_norm(part.float() - truth), batch.mask)
     return alike + 2.0 * root

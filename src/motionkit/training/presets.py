@@ -22,7 +22,7 @@ from motionkit.training.windows import ControlSampling, SamplerOptions
 STAGES = (
     Stage(0.0, {"share": 0.0, "reference_dropout": 0.8}),
     Stage(0.04, {"share": 0.4}),
-    Stage(0.4, {"step_weight": 35.0}),
+    Stage(0.4, {"step_weight": 10.0}),
     Stage(0.6, {"balance": 0.9}),
     Stage(0.8, {"reference_dropout": 0.5}),
 )
@@ -73,7 +73,7 @@ def train_options(
 
     Args:
         budget: a name in BUDGETS, for presets with the paper's training; other arguments override it.
-        changes: options of any group by name, such as rate=1e-4, window=64 or step_weight=35; None keeps the
+        changes: options of any group by name, such as rate=1e-4, window=64 or step_weight=10; None keeps the
             preset's value.
 
     Raises:

@@ -95,10 +95,13 @@ class PredictedInputs:
         limit = torch.where(timed, options.reference_limit, options.limit)
         inputs, contacts, controls, mask = (x.clone() for x in (inputs, contacts, controls, mask))
         rolled = torch.zeros_like(stays[:, 0])
-        noise, rho = fresh[:, 0], options.rho
+        noise, rho = (
+            fresh[:, 0],
+            options.rho,
+        )  # of the frame before, so that its deviation is 1 from the start
         for t in range(inputs.shape[1] - 1):
             made = step(inputs[:, t], contacts[:, t], controls[:, t])
-            noise = rho * noise + (1.0 - rho * rho) ** 0.5 * fresh[:, t]
+            noise = rho * noise + (1.0 - rho * rho) ** 0.5 * fresh[:, t + 1]
             frame = self._keep_rotation(made.mean + options.temperature * noise * torch.exp(made.log_sigma))
             error = (frame - targets[:, t]).square().mean(dim=-1).sqrt()
             now = stays[:, t] & (error < limit[:, t])
@@ -143,5 +146,5 @@ def _frame_step(
 
 
 def sampled_windows(first: int, count: int, share: float) -> list[int]:
-    """Return which of the windows first to first + count of a step use predictions, as indices from first."""
+    """Return which of the windows first to first + count of a block use predictions, as indices from first."""
     return [i for i in range(count) if int((first + i + 1) * share) > int((first + i) * share)]

@@ -98,20 +98,25 @@ class WindowBlocks:
         options, places = self.options, self.places
         device = next(self.network.parameters()).device
         batches = [self._loader.next(step).to(device) for step in steps]
-        fed = sampled_windows(places.start, len(places), options.scheduled_sampling.share)
-        if not fed:
+        share, period = options.scheduled_sampling.share, options.scheduled_sampling.period
+        # Windows are counted through the block, because few windows of one step have no such share.
+        firsts = [step % period * self.run.optimizer.batch + places.start for step in steps]
+        fed = [sampled_windows(first, len(places), share) for first in firsts]
+        if not any(fed):
             return batches
         generators = [
-            window_generator(options.seed, step, places[i], 1, device) for step in steps for i in fed
+            window_generator(options.seed, step, places[i], 1, device)
+            for step, chosen in zip(steps, fed, strict=True)
+            for i in chosen
         ]
-        joined = self.predicted(
-            Batch.joined([batch[fed] for batch in batches]), options.scheduled_sampling, generators
-        )
-        others = [i for i in range(len(places)) if i not in fed]
-        return [
-            Batch.joined([joined[k * len(fed) : (k + 1) * len(fed)], batch[others]])
-            for k, batch in enumerate(batches)
-        ]
+        recorded = [batch[chosen] for batch, chosen in zip(batches, fed, strict=True)]
+        joined = self.predicted(Batch.joined(recorded), options.scheduled_sampling, generators)
+        made, end = [], 0
+        for batch, chosen in zip(batches, fed, strict=True):
+            begin, end = end, end + len(chosen)
+            others = [i for i in range(len(places)) if i not in chosen]
+            made.append(Batch.joined([joined[begin:end], batch[others]]))
+        return made
 
     def _recorded(self, step: int) -> Batch:
         """Return the windows of a step with recorded inputs."""
