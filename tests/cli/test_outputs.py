@@ -9,12 +9,15 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.cli.common import lines_of_files
 from motionkit.errors import OverwriteError
+from motionkit.export.formats import write_motion
 from motionkit.files import atomic_write, check_outputs, files_below
 from motionkit.motion.bvh import read_bvh
+from synthetic_motions import make_walk
 
 from .test_mirror import RIG
 
@@ -252,3 +255,18 @@ def test_lines_of_files_stay_few(files: int, lines: int) -> None:
     assert found[0] == ("in/0.bvh:1: is empty" if lines > 1 else "3000 files, such as in/0.bvh:1: is empty")
     each = [(f"{number}.bvh", f"{number} values were cut") for number in range(3000)]
     assert lines_of_files(each)[-1] == "... and 2980 more files; --json lists all"
+
+
+def test_files_of_one_name_with_other_endings_keep_them(motionkit, home: Path) -> None:
+    (home / "in").mkdir()
+    for name in ("a.b.bvh", "a.b.npz", "c.bvh"):
+        write_motion(home / "in" / name, make_walk(frames=12))
+    assert motionkit("convert", "in", "out", "--format", "bvh").code == 0
+    assert sorted(path.name for path in (home / "out").iterdir()) == ["a.b-bvh.bvh", "a.b-npz.bvh", "c.bvh"]
+
+
+def test_a_body_far_away_is_told_that_its_places_are_rounded(motionkit, home: Path) -> None:
+    walk = make_walk(frames=12)
+    write_motion(home / "far.bvh", replace(walk, root_positions=walk.root_positions + np.float32(4e6)))
+    said = motionkit("convert", "far.bvh", "near.npz")
+    assert "places rounded to 0.25, because it is 4,000," in said.err

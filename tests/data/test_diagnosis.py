@@ -126,6 +126,14 @@ def test_a_type_of_clips_that_are_too_short_cannot_be_learnt(tmp_path: Path) -> 
     assert not facts.unlearnable
 
 
+def test_short_stretches_that_touch_are_usable(tmp_path: Path) -> None:
+    write_bvh(tmp_path / "a.bvh", mk.synthesize("walking:3", seed=2).motion.cut(60, 105))
+    rows = [f"a.bvh,{start},{start + 15},{kind}" for start, kind in ((0, "x"), (15, "y"), (30, "z"))]
+    (tmp_path / "labels.csv").write_text("\n".join(["file,start_frame,end_frame,type", *rows]))
+    (clip,) = diagnose([tmp_path]).clips
+    assert not clip.fault and clip.types == ("x", "y", "z")
+
+
 def test_few_clips_fall_into_no_groups(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "hop").mkdir()
     for kind in ("Gehen", "Lauf_02"):

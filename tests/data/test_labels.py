@@ -105,6 +105,18 @@ def test_missing_columns_are_named(table) -> None:
         read_labels(table("a.bvh,0\n", "file,start_frame\n"))
 
 
+def test_a_table_with_semicolons_is_told(table) -> None:
+    with pytest.raises(DatasetError, match="its columns are to be separated by commas"):
+        read_labels(table("a.bvh;0;9;idle\n", "file;start_frame;end_frame;type\n"))
+
+
+def test_values_beyond_the_columns_are_refused(table) -> None:
+    header = "file,start_frame,end_frame,type\n"
+    with pytest.raises(DatasetError, match=r"labels.csv:2: expected 4 values, found 'high' after them"):
+        read_labels(table("a.bvh,0,9,kick, high\n", header))
+    assert read_labels(table("a.bvh,0,9,kick,,\n", header))["a.bvh"][0].type == "kick"
+
+
 def test_an_empty_table_lacks_all_columns(table) -> None:
     with pytest.raises(DatasetError, match="lacks the columns file, start_frame, end_frame, type"):
         read_labels(table("", ""))
@@ -274,6 +286,10 @@ def test_labels_beyond_the_end_of_a_clip_are_told() -> None:
     assert beyond_end(labels, 195) == "labelled up to frame 9,999, but the clip has 195"
     assert not beyond_end(labels, 9999) and not beyond_end([Segment(0, -1, "walk")], 9)
     assert not beyond_end(labels, 9998), "its last frame may be counted in"
+    assert (
+        beyond_end([Segment(0, 50, "walk"), Segment(400, -1, "run")], 195)
+        == "labelled up to frame 401, but the clip has 195"
+    )
 
 
 def test_a_file_is_taken_once_however_often_it_is_given(tmp_path: Path) -> None:

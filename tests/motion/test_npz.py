@@ -61,7 +61,7 @@ def test_poses_of_smpl(tmp_path: Path, joints: int, z_up: bool, kind: str, left:
     up = "+Z up, and stays so in BVH" if z_up else "+Y up"
     assert (
         describe_motion(motion)
-        == f"40 frames at 60 fps; unit: detected from leg length: metres; {up}; 22 joints found by name (no Neck1)"
+        == f"40 frames at 60 fps; unit: metres, as the format says; {up}; 22 joints found by name (no Neck1)"
     )
     assert len(motion.skeleton) == (24 if joints == 24 else 22) and motion.fps == 60.0
     assert np.allclose(motion.root_positions - arrays["trans"], motion.skeleton.offsets[0], atol=1e-6)

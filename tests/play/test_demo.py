@@ -494,6 +494,74 @@ def test_a_body_stays_while_it_is_recorded_and_a_path_goes_with_its_character(
     page.close()
 
 
+def test_who_is_steered_next_goes_on_as_it_was(visit: Callable[..., Page]) -> None:
+    page = visit()
+    page.evaluate("motionkit.add()")
+    page.wait_for_function("motionkit.mine.length === 2", timeout=PATIENCE)
+    page.evaluate("motionkit.perform('balance')")
+    page.wait_for_function("motionkit.sent?.type === 'balance'", timeout=PATIENCE)
+    before = page.evaluate("motionkit.link.world.done.length")
+    page.evaluate("motionkit.link.ask('remove', { character: motionkit.chosen })")
+    page.wait_for_function("motionkit.mine.length === 1", timeout=PATIENCE)
+    assert page.evaluate("motionkit.mode") is None
+    wait_frames(page, 30)
+    assert page.evaluate("motionkit.link.world.done.length") == before + 1, "no wish by the page itself"
+    page.close()
+
+
+def test_who_gets_another_body_begins_anew(visit: Callable[..., Page]) -> None:
+    page = visit()
+    page.evaluate("motionkit.link.bodies.other = motionkit.link.bodies.default; motionkit.offer('default')")
+    page.evaluate("motionkit.perform('balance')")
+    page.wait_for_function("motionkit.sent?.type === 'balance'", timeout=PATIENCE)
+    page.evaluate("motionkit.pathOf = motionkit.chosen; motionkit.offer('other')")
+    page.wait_for_function("motionkit.facts.get(motionkit.chosen).body === 'other'", timeout=PATIENCE)
+    assert page.evaluate("[motionkit.mode, motionkit.pathOf]") == [None, None]
+    pressed = "document.querySelectorAll('#types [aria-pressed=true]').length"
+    assert page.evaluate(pressed) == 0
+    page.evaluate("motionkit.record()")
+    page.wait_for_function("motionkit.facts.get(motionkit.chosen).recording", timeout=PATIENCE)
+    page.evaluate("motionkit.offer('default')")  # makes the tools anew
+    assert page.locator("#tools .recording .dot").count() == 1
+    page.close()
+
+
+def test_one_finger_draws_and_a_key_ends_it(visit: Callable[..., Page]) -> None:
+    page = visit()
+    faults: list[str] = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.evaluate("motionkit.stage.look(motionkit.stage.controls.target, 0, 1.2, 8)")
+    page.keyboard.press("p")
+    page.mouse.move(300, 250)
+    page.mouse.down()
+    page.mouse.move(340, 260, steps=4)
+    ribbon = "motionkit.ribbon?.points?.length ?? null"
+    page.evaluate(
+        """() => { for (const [type, x] of [["pointerdown", 500], ["pointermove", 520], ["pointerup", 520]])
+        document.getElementById("scene").dispatchEvent(new PointerEvent(type, { pointerId: 77, clientX: x,
+        clientY: 300, button: 0, bubbles: true })); }"""
+    )
+    page.mouse.move(400, 280, steps=4)
+    page.keyboard.press("Backspace")
+    page.mouse.move(420, 290, steps=4)
+    page.mouse.up()
+    assert page.evaluate(ribbon) is None and not faults
+    assert not any(request["do"] == "path" for _, request in page.evaluate("motionkit.link.world.done"))
+    page.close()
+
+
+def test_the_page_works_where_nothing_can_be_kept(open_page: Callable, address: str) -> None:
+    page = open_page(address, 720, 500, service_workers="block")
+    page.wait_for_function(START, timeout=PATIENCE)
+    page.evaluate("() => { Object.defineProperty(navigator, 'clipboard', { value: undefined }); }")
+    page.get_by_role("button", name="Copy link").click()
+    page.wait_for_function(
+        "document.getElementById('hint').innerText.includes('address bar')", timeout=PATIENCE
+    )
+    assert page.locator("#notice").is_hidden()
+    page.close()
+
+
 def test_arrow_keys_move_a_slider_that_has_the_focus(visit: Callable[..., Page]) -> None:
     page = visit()
     page.locator("input[type=range]").focus()

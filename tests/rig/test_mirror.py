@@ -19,12 +19,15 @@ from motionkit.motion.rotations import (
     matrix_to_quat,
     quat_angle,
     quat_identity,
+    quat_inverse,
     quat_multiply,
     quat_normalize,
+    quat_rotate,
     quat_to_matrix,
 )
 from motionkit.motion.skeleton import JOINT_NAMES, MIRROR_JOINTS, Skeleton, canonical_skeleton
 from motionkit.rig.mirror import mirror_bvh, mirror_file, mirror_motion, mirror_plan
+from motionkit.rig.retarget import to_local
 from motionkit.rig.sides import joint_sides, opposite_joints
 from synthetic_motions import make_walk
 
@@ -319,6 +322,54 @@ def test_different_channels_on_the_sides_are_refused() -> None:
     channels[2] = ("Xrotation",)
     with pytest.raises(SkeletonError, match="LeftFoot has the channels Xrotation but RightFoot Zrotation"):
         mirror_bvh(random_bvh(world_aligned_rig(), channels))
+
+
+def test_a_side_without_position_channels_gets_those_of_the_other() -> None:
+    channels = [ROOT_CHANNELS] + [rotations("ZYX")] * 9
+    channels[2] = ROOT_CHANNELS
+    bvh = random_bvh(world_aligned_rig(), channels)
+    mirrored = mirror_bvh(bvh)
+    assert mirrored.channels[4] == ROOT_CHANNELS and mirrored.channels[1] == channels[1]
+    assert_mirror_image(bvh_to_motion(bvh), bvh_to_motion(mirrored))
+
+
+@pytest.mark.parametrize("channels", [None, (ROOT_CHANNELS, *(rotations("ZYX"),) * 22)])
+def test_a_rest_pose_without_symmetry(make_motion, channels: tuple[tuple[str, ...], ...] | None) -> None:
+    """As cameras record it: the first pose, in which no side is the image of the other, is the rest pose."""
+    motion = make_motion(12)
+    turned, places = motion_kinematics(motion)
+    rest = random_motion(motion.skeleton, 1, seed=5, spread=0.3).local_rotations[0]  # of each joint's frame
+    parents = list(motion.skeleton.parents[1:])
+    offsets = motion.skeleton.offsets.copy()
+    offsets[1:] = quat_rotate(rest[parents], offsets[1:])
+    made = replace(
+        motion,
+        skeleton=replace(motion.skeleton, offsets=offsets, end_sites={}),
+        local_rotations=to_local(quat_multiply(turned, np.broadcast_to(quat_inverse(rest), turned.shape))),
+    )
+    assert np.abs(motion_kinematics(made)[1] - places).max() < 1e-2
+    image = mirror_motion(made)
+    if channels is not None:
+        image = bvh_to_motion(mirror_bvh(motion_to_bvh(made, channels)))
+    assert mirror_plan(made).turns is not None
+    assert_mirror_image(made, image, tolerance=1.0)
+    again = motion_kinematics(mirror_motion(image))[1]
+    assert np.abs(again - places).max() < 1e-2
+
+
+def test_the_axis_that_most_joints_mirror_along_is_not_taken_against_the_limbs() -> None:
+    """Of many fingers that are straight along Y, which mirrors along any other axis, and of legs across."""
+    rig = world_aligned_rig()
+    sides = {"Left": rig.index("LeftHand"), "Right": rig.index("RightHand")}
+    names, parents, offsets = list(rig.names), list(rig.parents), [*rig.offsets]
+    for finger in range(30):
+        for side, hand in sides.items():
+            names.append(f"{side}Finger{finger}")
+            parents.append(hand)
+            offsets.append(np.array([0.0, 5.0, 3.0 if side == "Left" else -3.0], np.float32))
+    skeleton = Skeleton(tuple(names), tuple(parents), np.stack(offsets))
+    motion = random_motion(skeleton)
+    assert_mirror_image(motion, mirror_motion(motion), tolerance=0.5)
 
 
 def test_single_channel_knees_work() -> None:

@@ -111,7 +111,15 @@ def test_playing_scrubbing_and_keys(page: Page) -> None:
     stopped = page.evaluate("motionkit.time")
     page.wait_for_timeout(200)
     assert page.evaluate("motionkit.time") == stopped
+    page.keyboard.press("Space")
     page.keyboard.press("Home")
+    assert page.get_by_role("button", name="Play", exact=True).count() == 1, "a seek by hand stops"
+    skeleton = page.get_by_role("button", name="Skeleton", exact=True)
+    before = skeleton.get_attribute("aria-pressed")
+    skeleton.press("Space")
+    assert skeleton.get_attribute("aria-pressed") != before and not page.evaluate("motionkit.playing")
+    skeleton.press("Space")
+    page.evaluate("document.activeElement.blur()")
     page.keyboard.press("ArrowRight")
     assert page.evaluate("motionkit.time") == pytest.approx(1 / 60)
     page.keyboard.press("2")

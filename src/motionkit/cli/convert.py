@@ -80,8 +80,8 @@ def command(
     SOURCE is .bvh of any rig, .amc beside its .asf, .npz (AMASS, SMPL), or .glb, .vrm or .fbx with an animation. TARGET
     is .bvh, .glb (from .glb that file with one more animation, else skeleton, body and animation), .fbx (by Blender),
     .vrma (VRM animation, human rigs only), .usda (UsdSkel), .npz or .csv. Lengths become metres (.glb, .fbx, .vrma,
-    .usda) or centimetres (.npz, .csv), with Y up; to .bvh they stay as they are. With --clip all, the name of each
-    animation is added to that of TARGET.
+    .usda) or centimetres (.npz, .csv), with Y up; to .bvh they stay as they are, but become centimetres from .glb. With
+    --clip all, the name of each animation is added to that of TARGET.
     """
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample

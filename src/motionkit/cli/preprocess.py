@@ -28,6 +28,7 @@ from motionkit.cli.common import (
 )
 from motionkit.cli.finite import FiniteRange
 from motionkit.errors import MotionkitError
+from motionkit.reading import user_cm
 
 if TYPE_CHECKING:
     from motionkit.data.preprocess import PreprocessReport
@@ -98,6 +99,8 @@ def command(
     folders are followed.
     Unusable files are skipped and listed; the dataset then holds the others and the exit code is 1.
     """
+    if options["scale"] and user_cm():
+        raise click.UsageError("--unit and --scale both give the unit of the files; give one of them")
     from motionkit.api import preprocess
     from motionkit.data.options import PreprocessOptions
 

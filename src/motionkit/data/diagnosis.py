@@ -15,7 +15,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.events import frames_in_the_air
-from motionkit.data.first_pass import FPS, MIN_CLIP_FRAMES, read_source
+from motionkit.data.first_pass import FPS, MIN_CLIP_FRAMES, read_source, runs_of
 from motionkit.data.labels import BEYOND_END, SourceFile, beyond_end, find_sources, mirrored_type
 from motionkit.data.level import floor_tilts, footfalls, performer
 from motionkit.data.options import PreprocessOptions
@@ -227,7 +227,7 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Stretch]], St
     )
     if reading.frames <= POSE_FRAMES:
         return replace(facts, notes=(POSE, *facts.notes)), [], None
-    if not stretches:
+    if not runs_of(source.segments, reading):
         fault = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames"
         return replace(facts, fault=fault), [], None
     whose = performer((segment.subject for segment in source.segments), rig.body)

@@ -186,7 +186,7 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
     }
     report.cleaning = asdict(found.cleaning)
     report.leaps = len(found.leaps)
-    runs = _runs(source.segments, found)
+    runs = runs_of(source.segments, found)
     if not runs:
         report.skipped = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames at 60 fps"
         return Prepared(report, motion_file, (), [], [], None)
@@ -200,7 +200,7 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
     return Prepared(report, motion_file, runs, body, own_body, moment, poses, falls)
 
 
-def _runs(segments: Sequence[Segment], found: Reading) -> tuple[Run, ...]:
+def runs_of(segments: Sequence[Segment], found: Reading) -> tuple[Run, ...]:
     """Stretches of a motion without gaps and discontinuities, of at least MIN_CLIP_FRAMES frames.
 
     Adjacent segments stay together, so that the model learns real transitions between types.

@@ -46,12 +46,12 @@ BEYOND_END = "labelled up to frame"
 
 
 def beyond_end(segments: Sequence[Segment], frames: int) -> str:
-    """What is wrong with segments that end after a clip's last frame; "" if none does.
+    """What is wrong with segments that begin or end after a clip's last frame; "" if none does.
 
     One frame beyond the end is allowed, for tables that count from 1 or include the end frame. More means that the
     table belongs to another clip or frame rate.
     """
-    last = max((segment.end for segment in segments), default=0)
+    last = max((max(segment.end, segment.start + 1) for segment in segments), default=0)
     return f"{BEYOND_END} {last:,}, but the clip has {frames:,}" if last > frames + 1 else ""
 
 
@@ -251,9 +251,20 @@ def read_labels(path: Path) -> dict[str, list[Segment]]:
     try:
         missing = [name for name in REQUIRED_COLUMNS if name not in (reader.fieldnames or [])]
         if missing:
-            raise DatasetError(f"{path}:1: the label table lacks the columns {', '.join(missing)}")
+            semicolons = "; its columns are to be separated by commas" if ";" in text.split("\n")[0] else ""
+            raise DatasetError(
+                f"{path}:1: the label table lacks the columns {', '.join(missing)}{semicolons}"
+            )
         for row in reader:
             name = (row["file"] or "").strip()
+            more = [
+                text for text in row.get(None, []) if text.strip()
+            ]  # beyond the columns of the first line
+            if more:
+                raise DatasetError(
+                    f"{path}:{reader.line_num}: expected {len(reader.fieldnames or [])} values, found "
+                    f"{more[0].strip()[:40]!r} after them; a value with a comma needs quotation marks"
+                )
             if not name:
                 raise DatasetError(f"{path}:{reader.line_num}: expected a file name, found none")
             if not name.isprintable():

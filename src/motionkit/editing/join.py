@@ -176,7 +176,7 @@ def _on_one_rig(motions: Sequence[Motion], rig: Rig | None, names: Sequence[str]
     target = Upright.of(motions[0])
     if rig is not None:
         with as_found():
-            scale = guess_scale(rig.leg)[0]
+            scale = guess_scale(rig.leg, rig.skeleton.cm)[0]
         if _same(target.motion.skeleton, rig.skeleton.scaled(scale)):
             target = replace(target, scale=scale, up=rig.up, rig=rig.skeleton)
         else:

@@ -196,6 +196,8 @@ def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
             (-1, *(parent + 1 for parent in skeleton.parents)),
             offsets,
             {joint + 1: end for joint, end in skeleton.end_sites.items()},
+            skeleton.cm,
+            skeleton.up,
         ),
         quat_continuous(
             np.concatenate(

@@ -85,6 +85,11 @@ class _Skeleton:
         """cm per unit of the file; 1 if it names no unit, or the user does."""
         return 1.0 if self.length == 1.0 or user_cm() is not None else INCH / self.length
 
+    @property
+    def stated_cm(self) -> float | None:
+        """cm per unit of the file; None if it names no unit."""
+        return None if self.length == 1.0 else INCH / self.length
+
 
 def read_acclaim(path: str | Path) -> BvhFile:
     """Read an .amc with the .asf that lies beside it, or an .asf as one frame of its rest pose.
@@ -422,7 +427,7 @@ def _file(skeleton: _Skeleton, values: Doubles, rate: float, columns: dict[str, 
                 moved[:, ["XYZ".index(axis) for axis in order]] = picked_values
                 places[:, joint] += quat_rotate(bone.axes, moved) if joint else moved
     motion = Motion(
-        Skeleton(names, parents, offsets.astype(np.float32), ends),
+        Skeleton(names, parents, offsets.astype(np.float32), ends, skeleton.stated_cm),
         quat_continuous(quat_normalize(turns)).astype(np.float32),
         places[:, 0].astype(np.float32),
         rate,

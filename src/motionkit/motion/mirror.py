@@ -5,6 +5,9 @@ opposite's frame. That image is left-handed, so it is reflected again, by signs 
 the world and R(j) = diag(+-1, +-1, +-1) of determinant -1, the mirrored global rotation of joint j with opposite o is
 M G(o) R(j), and its local rotation is R(parent) L(o) R(j). If the signs map the bones of one side to those of the
 other, and both sides have equal lengths, all positions are mirrored exactly.
+
+Rest poses without symmetry, as cameras record them, have no such signs. There R(j) is M Q(j), with a rotation Q(j)
+that maps the bones of a joint to the reflected bones of its opposite.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_multiply
+from motionkit.motion.rotations import quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton
 
 # Possible reflections of a joint's frame: of one axis, or of all three. The last is for rigs on which equal angles make
@@ -29,11 +32,15 @@ REFLECTIONS: tuple[Signs, ...] = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0,
 
 @dataclass(frozen=True)
 class MirrorPlan:
-    """How to mirror a rig: the opposite and the reflection of each joint, and the reflection of the world."""
+    """How to mirror a rig: the opposite and the reflection of each joint, and the reflection of the world.
+
+    turns (J, 4) are rotations after the reflections, of rigs without symmetry, whose reflections are all the world's.
+    """
 
     opposites: tuple[int, ...]
     world: Signs
     joints: tuple[Signs, ...]
+    turns: Array | None = None
 
     def outer(self, skeleton: Skeleton, joint: int) -> Signs:
         """The reflection on the parent's side of a joint."""
@@ -49,11 +56,20 @@ def mirrored(motion: Motion, plan: MirrorPlan) -> Motion:
         )
         for joint, opposite in enumerate(opposites)
     ]
+    turns = plan.turns
+    outer = None if turns is None else quat_inverse(turns[[max(parent, 0) for parent in skeleton.parents]])
+    if turns is not None and outer is not None:
+        outer[0] = (1.0, 0.0, 0.0, 0.0)  # the world's
+        rotations = [
+            quat_multiply(quat_multiply(np.broadcast_to(first, turned.shape), turned), last)
+            for first, turned, last in zip(outer, rotations, turns, strict=True)
+        ]
     world = np.array(plan.world, motion.root_positions.dtype)
     places = motion.local_positions
     if places is not None:
         signs = np.array([plan.outer(skeleton, j) for j in range(len(opposites))], places.dtype)
         places = places[:, list(opposites)] * signs
+        places = places if outer is None else quat_rotate(outer, places).astype(places.dtype)
     return replace(
         motion,
         local_rotations=np.stack(rotations, axis=1),
@@ -68,9 +84,12 @@ def mirrored_bvh(bvh: BvhFile, plan: MirrorPlan) -> BvhFile:
     If both sides have their channels in one order, angles only change signs or shift by half turns. So mirroring twice
     restores the file.
 
+    A joint without the position channels of its opposite gets them.
+
     Raises:
-        SkeletonError: opposite joints have different channels.
+        SkeletonError: opposite joints have different rotation channels.
     """
+    bvh = _with_places(bvh, plan.opposites)
     columns = bvh.columns()
     values = np.empty_like(bvh.values)
     rebuilt: BvhFile | None = None
@@ -85,7 +104,7 @@ def mirrored_bvh(bvh: BvhFile, plan: MirrorPlan) -> BvhFile:
         mine = [c for n, c in zip(names, columns[joint], strict=True) if n.endswith("rotation")]
         theirs = [c for n, c in zip(opposite_names, columns[opposite], strict=True) if n.endswith("rotation")]
         order = _rotation_order(names)
-        if order == _rotation_order(opposite_names):
+        if plan.turns is None and order == _rotation_order(opposite_names):
             turned = _reflect_angles(bvh.values[:, theirs], order, outer, plan.joints[joint])
             if turned is None:
                 raise SkeletonError(
@@ -95,8 +114,24 @@ def mirrored_bvh(bvh: BvhFile, plan: MirrorPlan) -> BvhFile:
             values[:, mine] = turned
         else:
             rebuilt = rebuilt or motion_to_bvh(mirrored(bvh_to_motion(bvh), plan), bvh.channels)
-            values[:, mine] = rebuilt.values[:, mine]
+            whole = columns[joint] if plan.turns is not None else mine
+            values[:, whole] = rebuilt.values[:, whole]
     return replace(bvh, values=values)
+
+
+def _with_places(bvh: BvhFile, opposites: tuple[int, ...]) -> BvhFile:
+    """The file, in which each joint has the position channels of its opposite, too; they hold its OFFSET."""
+    channels, values = [], []
+    for joint, opposite in enumerate(opposites):
+        own = bvh.channels[joint]
+        more = tuple(n for n in bvh.channels[opposite] if n.endswith("position") and n not in own)
+        channels.append(more + own)
+        offset = bvh.skeleton.offsets[joint]
+        values += [np.full(len(bvh.values), offset["XYZ".index(name[0])], np.float64) for name in more]
+        values += [bvh.values[:, column] for column in bvh.columns()[joint]]
+    if tuple(channels) == bvh.channels:
+        return bvh
+    return replace(bvh, channels=tuple(channels), values=np.stack(values, axis=1), hierarchy=None)
 
 
 def _rotation_order(channels: tuple[str, ...]) -> str:

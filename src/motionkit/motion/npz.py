@@ -36,7 +36,8 @@ from motionkit.reading import report_notes
 
 RATE = 30.0  # frames per second of poses without one, as estimated from video
 _MOTION = ("local_rotations", "poses", "pose_body")  # one of which every archive of motion has
-_RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate", "framerate")
+_AMASS_RATES = ("mocap_framerate", "mocap_frame_rate")  # of AMASS, in which Z points up
+_RATES = (*_AMASS_RATES, "fps", "frame_rate", "framerate")
 # What a damaged archive, or the header of one of its arrays, makes zipfile and numpy raise.
 _FAULTS = (
     *(zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, KeyError, TypeError, OverflowError),
@@ -209,7 +210,8 @@ def _smpl(archive: _Archive) -> Motion:
     notes += [f"{' and '.join(left)} left out"] if left else []
     notes += [] if fps else [f"{RATE:g} frames a second, because the file does not say its rate"]
     report_notes(archive.path, (*notes, *archive.notes.lines))
-    return smpl_motion(poses, places, fps or RATE)
+    up = "+Z" if any(name in archive for name in _AMASS_RATES) else None
+    return smpl_motion(poses, places, fps or RATE, up)
 
 
 def _motionkit_motion(archive: _Archive) -> Motion:
@@ -244,6 +246,8 @@ def _motionkit_motion(archive: _Archive) -> Motion:
             tuple(parents),
             archive.read("offsets", (count, 3)).astype(np.float32),
             ends,
+            cm=1.0,
+            up="+Y",
         ),
         quat_normalize(rotations).astype(np.float32),
         roots.astype(np.float32),

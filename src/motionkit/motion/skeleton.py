@@ -20,12 +20,16 @@ class Skeleton:
         parents: J parent indices; the root's is -1.
         offsets: (J, 3) positions relative to the parent in the rest pose; all its rotations are identity.
         end_sites: joint index to the offset (3,) of its bone's end.
+        cm: cm per unit of length, where the file's format says it; else None.
+        up: the axis of the world that points up, such as "+Z", where the file's format says it; else None.
     """
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
     offsets: Array
     end_sites: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    cm: float | None = None
+    up: str | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -67,6 +71,8 @@ class Skeleton:
             tuple(place.get(self.parents[joint], -1) for joint in joints),
             self.offsets[list(joints)],
             {place[joint]: end for joint, end in self.end_sites.items() if joint in place},
+            self.cm,
+            self.up,
         )
 
     def rest_positions(self) -> Array:
@@ -79,7 +85,8 @@ class Skeleton:
     def scaled(self, factor: float) -> Skeleton:
         """The same skeleton with every length multiplied by a factor."""
         ends = {j: (x * factor, y * factor, z * factor) for j, (x, y, z) in self.end_sites.items()}
-        return Skeleton(self.names, self.parents, self.offsets * factor, ends)
+        cm = None if self.cm is None else self.cm / factor
+        return Skeleton(self.names, self.parents, self.offsets * factor, ends, cm, self.up)
 
     def same_hierarchy(self, other: Skeleton) -> bool:
         """Whether names and parents are equal (lengths may differ)."""

@@ -7,6 +7,8 @@ how a body differs from the mean, need it and are not used.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from motionkit.arrays import Array
@@ -54,12 +56,17 @@ def smpl_skeleton(hands: bool) -> Skeleton:
     places = np.array([place for _, _, place in _JOINTS])
     offsets = places - np.where(np.array(parents)[:, None] >= 0, places[parents], 0.0)
     ends = {parents[j]: (*offsets[j].tolist(),) for j in range(count, len(_JOINTS))}
-    return Skeleton(tuple(names[:count]), tuple(parents[:count]), offsets[:count].astype(np.float32), ends)
+    return Skeleton(
+        tuple(names[:count]), tuple(parents[:count]), offsets[:count].astype(np.float32), ends, cm=100.0
+    )
 
 
-def smpl_motion(poses: Array, places: Array, fps: float) -> Motion:
-    """The motion, in metres, of poses (T, W) as exponential maps, W one of WIDTHS, and places (T, 3) of the body."""
-    skeleton = smpl_skeleton(hands=WIDTHS[poses.shape[1]] == "SMPL")
+def smpl_motion(poses: Array, places: Array, fps: float, up: str | None = None) -> Motion:
+    """The motion, in metres, of poses (T, W) as exponential maps, W one of WIDTHS, and places (T, 3) of the body.
+
+    up is the axis that points up, if it is known.
+    """
+    skeleton = replace(smpl_skeleton(hands=WIDTHS[poses.shape[1]] == "SMPL"), up=up)
     turns = poses.reshape(len(poses), -1, 3)[:, : len(skeleton)].astype(np.float64)
     return Motion(
         skeleton,

@@ -59,7 +59,7 @@ def _detected_unit(name: str, skeleton: Skeleton) -> tuple[float, list[str]]:
     leg = leg_length(skeleton)
     if PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1] or not SHORTEST_LEG <= leg <= LONGEST_LEG:
         return 1.0, []
-    scale, source = guess_scale(leg)
+    scale, source = guess_scale(leg, skeleton.cm)
     return scale, [f"{name}: 1 unit = {scale:.4g} cm ({source})"]
 
 

@@ -25,6 +25,7 @@ from motionkit.motion.rotations import (
     quat_normalize,
 )
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.fbx import ENDING as FBX
 from motionkit.rig.gltf import GltfFile
 from motionkit.rig.gltf_nodes import GltfNodes
 
@@ -200,7 +201,10 @@ def read_character(path: str | Path) -> Character:
     parents = tuple(index.get(tree.parents[node], -1) for node in nodes)
     places = np.stack([tree.rest_world[node][:3, 3] for node in nodes])
     offsets = places - np.stack([places[parent] if parent >= 0 else np.zeros(3) for parent in parents])
-    skeleton = Skeleton(tree.names(nodes), parents, offsets.astype(np.float32), _ends(tree, nodes, parents))
+    # Units of FBX files are often wrong.
+    cm = None if Path(path).suffix.lower() == FBX else 100.0
+    ends = _ends(tree, nodes, parents)
+    skeleton = Skeleton(tree.names(nodes), parents, offsets.astype(np.float32), ends, cm, "+Y")
     return Character(tree, tuple(nodes), skeleton, {name: index[node] for name, node in humanoid.items()})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from motionkit.motion.bvh import BvhFile, bvh_to_motion, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.mirror import REFLECTIONS, MirrorPlan, Signs, mirrored, mirrored_bvh, reflect_rotations
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import mean_rotation, quat_angle
+from motionkit.motion.rotations import matrix_to_quat, mean_rotation, quat_angle
 from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.names import map_rig, user_places
 from motionkit.rig.pose import SAMPLES
@@ -28,6 +29,8 @@ from motionkit.rig.up_axis import up_axis
 _SPEAKS_AGAINST = 0.5
 _ODD_SHARE = 0.15  # share of bones that must vote against it; a single prop or mesh node must not decide
 _SHORT_SHARE = 0.05  # of the mean bone; shorter bones do not vote, because their direction is noise
+_SYMMETRIC = 0.02  # of the body's size; mean error up to which reflections alone mirror a rig
+_LEAST_TURN = 1e-3  # weight of turning least beside that of the bones
 _RIGID_SHARE = 0.01  # of the mean bone; a joint whose position varies by less ends a rigid bone
 
 
@@ -46,17 +49,58 @@ def mirror_plan(motion: Motion, limbs: Mapping[str, int] | None = None) -> Mirro
     axis = _common_axis(opposites, places, rigid)
     up = int(np.abs(up_axis(motion_kinematics(motion)[1], skeleton)).argmax())
     world = REFLECTIONS[2 if up == 0 else 0]  # a horizontal axis for every rig
+    some = _sampled(motion)
+    plans = [MirrorPlan(opposites, world, _joint_reflections(motion, opposites, places, rigid, world))]
     if axis is not None:
         signs = REFLECTIONS[axis]
-        return MirrorPlan(opposites, world if axis == up else signs, (signs,) * len(skeleton))
-    return MirrorPlan(opposites, world, _joint_reflections(motion, opposites, places, rigid, world))
+        plans.insert(0, MirrorPlan(opposites, world if axis == up else signs, (signs,) * len(skeleton)))
+    errors = [_error(some, plan) for plan in plans]
+    if min(errors) <= _SYMMETRIC:
+        return next(plan for plan, error in zip(plans, errors, strict=True) if error <= _SYMMETRIC)
+    turned = replace(
+        plans[-1], joints=(world,) * len(skeleton), turns=_turns(skeleton, opposites, places, world)
+    )
+    return min((*plans, turned), key=lambda plan: _error(some, plan))
+
+
+def _sampled(motion: Motion) -> Motion:
+    return motion.cut(0, len(motion), max(1, len(motion) // SAMPLES))
+
+
+def _error(motion: Motion, plan: MirrorPlan) -> float:
+    """The mean distance of joints from the mirror images of their opposites, as a share of the body's size."""
+    recorded = motion_kinematics(motion)[1]
+    image = recorded[:, list(plan.opposites)] * np.array(plan.world, recorded.dtype)
+    size = max(float((recorded.max(axis=1) - recorded.min(axis=1)).max()), 1e-9)
+    return float(np.linalg.norm(motion_kinematics(mirrored(motion, plan))[1] - image, axis=-1).mean()) / size
+
+
+def _turns(skeleton: Skeleton, opposites: tuple[int, ...], places: Array, world: Signs) -> Array:
+    """The rotations (J, 4) that best map the bones of each joint to the reflected bones of its opposite.
+
+    Bones in one line leave the turn about them open; then it is the least.
+    """
+    reflected = places[list(opposites)] * np.array(world)
+    found: list[Array] = []
+    for joint, parent in enumerate(skeleton.parents):
+        below = skeleton.children(joint)
+        mine, other = places[below], reflected[below]
+        if joint in skeleton.end_sites and opposites[joint] in skeleton.end_sites:
+            ends = [np.array(skeleton.end_sites[j]) for j in (joint, opposites[joint])]
+            mine, other = np.vstack([mine, ends[:1]]), np.vstack([other, ends[1:] * np.array(world)])
+        if not len(mine):
+            found.append(found[parent] if joint else np.eye(3))
+            continue
+        spread = other.T @ mine
+        u, _, vt = np.linalg.svd(spread + _LEAST_TURN * float(np.square(mine).sum()) * np.eye(3))
+        found.append(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
+    return matrix_to_quat(np.stack(found))
 
 
 def _checked_opposites(motion: Motion, limbs: Mapping[str, int] | None) -> tuple[int, ...]:
     names, parents = motion.skeleton.names, motion.skeleton.parents
     opposites = opposite_joints(names)
-    some = motion.cut(0, len(motion), max(1, len(motion) // SAMPLES))
-    poses = motion_kinematics(some)[1]
+    poses = motion_kinematics(_sampled(motion))[1]
     known = user_places(motion.skeleton) or limbs
     if known or any(opposite != joint for joint, opposite in enumerate(opposites)):
         opposites = _with_limbs(motion.skeleton, opposites, known or _limbs(motion.skeleton, poses))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from motionkit.errors import BvhError, MotionkitError
 from motionkit.files import files_below
 from motionkit.motion.acclaim import read_acclaim
@@ -24,6 +26,7 @@ READERS: dict[str, Callable[[str | Path], BvhFile]] = {
     ".npz": read_npz,
 }
 GLTF_ENDINGS = (".glb", ".vrm", FBX)  # characters, with any number of animations
+_COARSE = 1e-4  # of the length of all bones; rounding of places from which a user is told
 RIGS_ONLY = (".asf",)
 # Of files that are looked for in folders.
 ENDINGS = (*(ending for ending in READERS if ending not in RIGS_ONLY), *GLTF_ENDINGS)
@@ -45,6 +48,7 @@ def read_file(path: str | Path, clip: str | None = None) -> BvhFile:
     else:
         found = READERS.get(Path(path).suffix.lower(), _read_unknown)(path)
     _check_map(path, found.skeleton)
+    _note_far(path, found)
     return found
 
 
@@ -56,6 +60,18 @@ def _read_unknown(path: str | Path) -> BvhFile:
         known = ", ".join((*READERS, *GLTF_ENDINGS))
         found = f"{error.found}; the name of a file of another kind ends in {known}"
         raise BvhError(error.path, found, error.line) from None
+
+
+def _note_far(path: str | Path, bvh: BvhFile) -> None:
+    """Report a body so far from the origin that its place is coarse: motions hold positions in 32 bits."""
+    places = [c for n, c in zip(bvh.channels[0], bvh.columns()[0], strict=True) if n.endswith("position")]
+    far = float(np.abs(bvh.values[:, places]).max(initial=0.0))
+    step = float(np.spacing(np.float32(far)))
+    size = float(np.linalg.norm(bvh.skeleton.offsets[1:], axis=-1).sum())
+    if places and 0.0 < _COARSE * size < step:
+        report_notes(
+            path, (f"its places rounded to {step:.2g}, because it is {far:,.0f} away from the origin",)
+        )
 
 
 def _check_map(path: str | Path, skeleton: Skeleton) -> None:

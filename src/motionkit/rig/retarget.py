@@ -114,7 +114,7 @@ def retarget(
     pose = study_rig(bvh, full_map, fps, None if rig is None else (rig.up, rig.differences))
     leg = pose.leg()
     check_leg(leg)
-    scale, scale_source = (scale, "given") if scale is not None else guess_scale(leg)
+    scale, scale_source = (scale, "given") if scale is not None else guess_scale(leg, bvh.skeleton.cm)
     root_scale = leg_length(canonical_skeleton()) / (leg * scale)
     body, body_notes = _body(pose, scale)
     target = canonical_skeleton(body) if own_body else canonical_skeleton()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,8 @@ SHORTEST, TALLEST, TYPICAL = 130.0, 215.0, 172.0
 PLAUSIBLE_LEG = (40.0, 140.0)  # cm, thigh plus shin of the smallest and the tallest people
 # Range of leg lengths in file units; kilometres and micrometres are outside. Division by less would overflow.
 SHORTEST_LEG, LONGEST_LEG = 1e-3, 1e6
+# cm; legs of figures, from dolls to giants, of whose file the format's unit is believed.
+SMALLEST_LEG, LARGEST_LEG = 10.0, 250.0
 BY_USER = "given"
 METRES_UP_TO = 3.0  # largest size, in file units, of a non-human rig in metres
 CHAINS_TO_STATURE = 1.17  # twice the longest chain of joints from the root, relative to the standing height
@@ -48,9 +51,10 @@ def likely_unit(height: float) -> Unit | None:
     return min(fitting, key=lambda unit: abs(height * unit.cm - TYPICAL)) if fitting else None
 
 
-def unit_symbol(cm: float) -> str:
-    """The symbol of the unit of so many cm; a unit that is not in the table is named by its length."""
-    return next((unit.symbol for unit in UNITS if abs(unit.cm - cm) < 1e-6 * cm), f"units of {cm:.3g} cm")
+def unit_of(cm: float) -> Unit:
+    """The unit of so many cm; one that is not in the table is named by its length."""
+    other = f"units of {cm:.3g} cm"
+    return next((unit for unit in UNITS if abs(unit.cm - cm) < 1e-6 * cm), Unit(other, other, cm))
 
 
 def named_unit(text: str) -> float:
@@ -64,8 +68,10 @@ def named_unit(text: str) -> float:
     return cm
 
 
-def guess_scale(leg: float) -> tuple[float, str]:
+def guess_scale(leg: float, stated: float | None = None) -> tuple[float, str]:
     """Detect cm per unit from a leg length in file units, and say how; without a unit, by a typical stature.
+
+    stated are the cm per unit that the file's format says (Skeleton.cm).
 
     Raises SkeletonError for a leg length that is out of range.
     """
@@ -73,6 +79,8 @@ def guess_scale(leg: float) -> tuple[float, str]:
     cm = user_cm()
     if cm is not None:
         return cm, BY_USER
+    if stated is not None and SMALLEST_LEG <= leg * stated <= LARGEST_LEG:
+        return stated, f"{unit_of(stated).name}, as the format says"
     unit = likely_unit(leg / LEG_TO_STATURE)
     if unit is not None:
         return unit.cm, f"detected from leg length: {unit.name}"
@@ -97,14 +105,26 @@ def motion_unit(motion: Motion) -> tuple[float, str]:
     cm = user_cm()
     if cm is not None:
         return cm, BY_USER
-    leg = rig_leg(motion.skeleton)
-    if set(motion.skeleton.names) == set(JOINT_NAMES) and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
+    leg, stated = rig_leg(usual_skeleton(motion)), motion.skeleton.cm
+    canonical = set(motion.skeleton.names) == set(JOINT_NAMES)
+    if stated is None and canonical and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
         return 1.0, "centimetres"
     if leg > 0.0:
-        return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG))
+        return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG), stated)
+    if stated is not None:
+        return stated, f"{unit_of(stated).name}, as the format says"
     if _chain_stature(motion) <= METRES_UP_TO:
         return 100.0, "no human rig; taken as metres"
     return 1.0, "no human rig; taken as centimetres"
+
+
+def usual_skeleton(motion: Motion) -> Skeleton:
+    """The skeleton of a motion with each joint that translates at its median position; files may hold other offsets."""
+    if motion.local_positions is None:
+        return motion.skeleton
+    offsets = np.median(motion.local_positions, axis=0).astype(np.float32)
+    offsets[0] = motion.skeleton.offsets[0]
+    return replace(motion.skeleton, offsets=offsets)
 
 
 def rig_places(skeleton: Skeleton) -> dict[str, int]:
@@ -126,7 +146,7 @@ def rig_leg(skeleton: Skeleton) -> float:
 
 def stature(motion: Motion) -> float:
     """The standing height of a body in its unit, by its legs, or by its longest chain of joints if not human."""
-    leg = rig_leg(motion.skeleton)
+    leg = rig_leg(usual_skeleton(motion))
     return leg / LEG_TO_STATURE if leg else _chain_stature(motion)
 
 

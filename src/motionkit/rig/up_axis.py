@@ -25,7 +25,11 @@ _AXES = np.eye(3, dtype=np.float32)
 
 
 def voted_up(
-    positions: Array, directions: Array, rest: Array | None, rest_votes: float = REST_VOTES
+    positions: Array,
+    directions: Array,
+    rest: Array | None,
+    rest_votes: float = REST_VOTES,
+    stated: str | None = None,
 ) -> Array:
     """The axis (3,) that points up, with its sign.
 
@@ -38,15 +42,21 @@ def voted_up(
         directions: (T, 3) from lower to higher parts of the recorded bodies, of any length.
         rest: (3,) the same in a standing rest pose; None without one.
         rest_votes: weight of the rest pose.
+        stated: the up axis that the file's format says (Skeleton.up). It counts unless rest pose and recorded bodies
+            stand along another one: then a program wrote the file without turning it.
     """
     mean = normalized(directions).mean(axis=0)
+    if stated is not None and not _stands_otherwise(stated, mean, rest):
+        return named_up(stated)
     votes = np.abs(mean)
     votes[1] += Y_VOTES
     sign = np.where(mean < 0, -1.0, 1.0)
     if rest is not None:
         axis = int(np.abs(rest).argmax())
         votes[axis] += rest_votes
-        sign[axis] = 1.0 if rest[axis] > 0 else -1.0
+        # A body that is upside down for a whole clip, or in its rest pose, is more usual than a world with -Y up.
+        against = axis == 1 and rest[axis] * mean[axis] < 0.0
+        sign[axis] = 1.0 if rest[axis] > 0 or against else -1.0
     best, along = int(votes.argmax()), int(np.abs(mean).argmax())
     other = along if best == 1 else 1
     up, instead = (_AXES[axis] * sign[axis].astype(np.float32) for axis in (best, other))
@@ -54,6 +64,14 @@ def voted_up(
     if best == other or upright or _on_ground(positions, up) or not _on_ground(positions, instead):
         return up
     return instead
+
+
+def _stands_otherwise(stated: str, mean: Array, rest: Array | None) -> bool:
+    """Whether the rest pose and the recorded bodies on average stand along another axis than the stated one."""
+    if rest is None:
+        return False
+    along = [int(np.abs(direction).argmax()) for direction in (mean, rest)]
+    return along[0] == along[1] != "XYZ".index(stated[-1]) and abs(float(mean[along[0]])) > _STANDING
 
 
 def human_up(source: SourceRig, positions: Array) -> Array:
@@ -68,7 +86,9 @@ def human_up(source: SourceRig, positions: Array) -> Array:
     rest = _standing_up(source)
     # The rest pose of motionkit's own files is upright, even if the recorded poses are few and show no standing body.
     canonical = source.skeleton.same_hierarchy(canonical_skeleton())
-    return voted_up(positions, arms - hips, rest, MOTIONKIT_VOTES if canonical else REST_VOTES)
+    return voted_up(
+        positions, arms - hips, rest, MOTIONKIT_VOTES if canonical else REST_VOTES, source.skeleton.up
+    )
 
 
 def _standing_up(source: SourceRig) -> Array | None:
@@ -105,7 +125,10 @@ def up_axis(positions: Array, skeleton: Skeleton) -> Array:
     if high and low:
         rest = _between(skeleton.rest_positions()[None], high, low)[0]
         standing = float(np.abs(rest).max()) > _STANDING * float(np.linalg.norm(rest))
-        return voted_up(positions, _between(positions, high, low), rest if standing else None)
+        stood = rest if standing else None
+        return voted_up(positions, _between(positions, high, low), stood, stated=skeleton.up)
+    if skeleton.up is not None:
+        return named_up(skeleton.up)
     spread = (positions.max(axis=1) - positions.min(axis=1)).mean(axis=0)
     if spread[2] <= 1.5 * spread[1]:
         return _AXES[1]
@@ -136,12 +159,15 @@ def up_turn(up: Array) -> Array:
 
 
 def turned_world(motion: Motion, turn: Array) -> Motion:
-    """Turn the world of a motion by a rotation (4,)."""
+    """Turn the world of a motion by a rotation (4,) that takes an axis to an axis."""
     rotations = motion.local_rotations.copy()
     turns = np.broadcast_to(turn.astype(rotations.dtype), rotations[:, 0].shape)
     rotations[:, 0] = quat_multiply(turns, rotations[:, 0])
     roots = quat_rotate(turns, motion.root_positions)
-    return replace(motion, local_rotations=rotations, root_positions=roots)
+    skeleton = motion.skeleton
+    if skeleton.up is not None:
+        skeleton = replace(skeleton, up=up_name(quat_rotate(turn, named_up(skeleton.up))))
+    return replace(motion, skeleton=skeleton, local_rotations=rotations, root_positions=roots)
 
 
 def _between(positions: Array, high: list[int], low: list[int]) -> Array:

@@ -13,7 +13,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
 from motionkit.rig.sides import joint_sides
-from motionkit.rig.units import motion_unit, rig_places, stature, unit_symbol
+from motionkit.rig.units import motion_unit, rig_places, stature, unit_of
 from motionkit.rig.up_axis import up_axis, up_turn
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class Figure:
 
     def unit(self) -> tuple[str, float]:
         """The motion's unit: its symbol and its length in cm."""
-        return unit_symbol(self.cm), self.cm
+        return unit_of(self.cm).symbol, self.cm
 
 
 def motion_figure(motion: Motion) -> Figure:

@@ -159,6 +159,10 @@ export class LocalLink {
     this.paced ??= { now, number };
     const passed = now - this.paced.now;
     if (passed < 1) return;
+    if (passed > 3) { // the page was hidden, and made no frames
+      this.paced = { now, number };
+      return;
+    }
     this.fps = (number - this.paced.number) / passed;
     this.paced = { now, number };
     const behind = this.fps < 0.9 * this.model.fps;

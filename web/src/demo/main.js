@@ -39,11 +39,15 @@ function tools(play) {
     else {
       history.replaceState(null, "", address);
       const link = element("a", { href: address }, "Link");
-      await navigator.clipboard.writeText(address).then(() => play.say(link, " copied: it does all of this again."), () => play.say(link, ": it does all of this again. It is in the address bar too."));
+      const copied = navigator.clipboard?.writeText(address) ?? Promise.reject(); // browsers copy on safe pages only
+      await copied.then(() => play.say(link, " copied: it does all of this again."), () => play.say(link, ": it does all of this again. It is in the address bar too."));
     }
   });
   const choice = element("input", { type: "file", accept: ".glb,.vrm", hidden: true, ariaLabel: "File of your character", onchange: () => choice.files[0] && wear(play, choice.files[0]) });
-  return [button("Your character", "A .glb or .vrm file of yours moves instead; nothing is sent anywhere", () => choice.click()), choice, share];
+  return [button("Your character", "A .glb or .vrm file of yours moves instead; nothing is sent anywhere", () => {
+    choice.value = ""; // else the same file, mended, is no change
+    choice.click();
+  }), choice, share];
 }
 
 /** Puts a user's file on the steered character, or says what is wrong with it. */
@@ -79,7 +83,11 @@ async function begin(play) {
   if (first.length) play.watch();
   if (damaged) play.say("The link is cut off or damaged, so this is another motion.");
   document.documentElement.dataset.ready = "true";
-  if ("serviceWorker" in navigator) await navigator.serviceWorker.register("sw.js");
+  try { // without it the page works, but not offline
+    await navigator.serviceWorker?.register("sw.js");
+  } catch {
+    // Some browsers throw where storage is blocked.
+  }
 }
 
 const { bodies, first, rigs } = JSON.parse(document.getElementById("data").textContent);

@@ -24,6 +24,7 @@ const STOP = 2; // seconds of a stop
 const SPARE = 1.25; // factor on the time between wishes, which leaves part of the server's message limit to other requests
 const EYE = 0.8; // metres, height of the camera target
 const $ = (id) => document.getElementById(id);
+const standing = (character) => ({ velocity: [0, 0], facing: null, type: null, character });
 
 export class Play {
   /**
@@ -128,9 +129,15 @@ export class Play {
   }
 
   #characters(facts) {
+    const before = this.facts;
     this.facts = new Map(facts.map((one) => [one.id, one]));
+    for (const { id, body } of facts) { // who gets another body begins anew
+      if ((before.get(id)?.body ?? body) === body) continue;
+      this.left.delete(id);
+      if (id === this.chosen) this.#forgetAll();
+    }
     const mine = facts.filter((one) => one.owner === this.hello.client).map((one) => one.id);
-    if (!mine.includes(this.chosen)) this.chosen = mine[0] ?? null;
+    if (!mine.includes(this.chosen)) this.#take(mine[0] ?? null);
     for (const id of [...this.characters.keys()]) if (!this.facts.has(id)) this.#remove(id);
     if (this.pathOf && !mine.includes(this.pathOf)) this.#forgetPath();
     this.mine = mine;
@@ -145,6 +152,7 @@ export class Play {
     const color = place < 0 ? OTHERS : COLORS[place % COLORS.length];
     const known = this.characters.get(id);
     if (known?.body === body) {
+      known.owner = this.facts.get(id).owner;
       if (known.color !== color) known.figure.color = new Color((known.color = color));
       return;
     }
@@ -329,14 +337,19 @@ export class Play {
   choose(id) {
     if (!this.mine.includes(id) || id === this.chosen) return;
     if (this.sent?.velocity?.some(Boolean)) { // keys steer the other one from now on
-      this.sent = { velocity: [0, 0], facing: null, type: null, character: this.chosen };
+      this.sent = standing(this.chosen);
       this.#ask("wish", this.sent);
     }
     this.left.set(this.chosen, { sent: this.sent, mode: this.mode }); // it goes on with its dance or path
-    const { sent, mode } = this.left.get(id) ?? { sent: null, mode: null };
+    this.#take(id);
+    this.#who();
+  }
+
+  // Steers a character, which goes on with its dance or path; nothing is sent before the user steers.
+  #take(id) {
+    const { sent, mode } = this.left.get(id) ?? { sent: standing(id), mode: null };
     Object.assign(this, { chosen: id, sent });
     this.#setMode(mode);
-    this.#who();
   }
 
   /** Sends points [x, z] in metres as a path, with the indices of its stops. */
@@ -357,7 +370,7 @@ export class Play {
   watch() {
     this.#setMode(null);
     this.pathOf = this.chosen;
-    this.sent = { velocity: [0, 0], facing: null, type: null, character: this.chosen };
+    this.sent = standing(this.chosen);
   }
 
   #forgetPath() {
@@ -379,10 +392,11 @@ export class Play {
       const hit = ray.ray.intersectPlane(floor, new Vector3());
       return hit && hit.distanceTo(this.stage.controls.target) < 60 ? [hit.x, hit.z] : null;
     };
-    let [points, stops, resting] = [null, [], 0];
+    let [points, stops, resting, pointer] = [null, [], 0, null]; // one pointer draws
     const rest = () => {
       clearTimeout(resting);
       resting = setTimeout(() => {
+        if (!points || !this.ribbon) return;
         const at = points.length - 1;
         if (at < 2 || stops.includes(at)) return;
         stops.push(at);
@@ -394,17 +408,26 @@ export class Play {
     };
     canvas.addEventListener("pointerdown", (event) => {
       if (!this.drawing || event.button !== 0) return;
+      if (points) {
+        event.stopImmediatePropagation();
+        return;
+      }
       const first = spot(event);
       if (!first) return;
       event.stopImmediatePropagation();
-      canvas.setPointerCapture(event.pointerId);
+      pointer = event.pointerId;
+      canvas.setPointerCapture(pointer);
       this.#forgetPath();
       [points, stops] = [[first], []];
       this.ribbon = new Ribbon(new Float32Array(first), PATH_COLOR, { width: 0.06, opacity: 0.85 });
       this.stage.scene.add(this.ribbon);
     }, { capture: true });
     canvas.addEventListener("pointermove", (event) => {
-      if (!points) return;
+      if (!points || event.pointerId !== pointer) return;
+      if (!this.ribbon) { // a key has ended the drawing
+        points = null;
+        return;
+      }
       const next = spot(event);
       if (!next || Math.hypot(next[0] - points.at(-1)[0], next[1] - points.at(-1)[1]) < PATH_STEP) return;
       points.push(next);
@@ -413,10 +436,14 @@ export class Play {
       rest();
     });
     const end = (event) => {
-      if (!points) return;
+      if (!points || event.pointerId !== pointer) return;
       clearTimeout(resting);
-      const drawn = points;
+      const drawn = this.ribbon ? points : null;
       points = null;
+      if (!drawn || event.type === "pointercancel") {
+        this.#forgetPath();
+        return;
+      }
       this.touched = event.timeStamp;
       if (drawn.length < 3) {
         this.#forgetPath();
@@ -437,10 +464,19 @@ export class Play {
   }
 
   #keys() {
+    let pointed = null; // a list that is opened by the pointer keeps the focus, but does not want keys
+    addEventListener("pointerdown", ({ target }) => (pointed = target), { capture: true });
     addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey || $("help").open || !this.hello) return;
       const { target } = event;
-      if (target instanceof HTMLSelectElement || (target.type === "range" && event.key.startsWith("Arrow"))) return;
+      if (target instanceof HTMLSelectElement) {
+        if (target !== pointed || event.key.length > 1) {
+          if (event.key === "Tab") pointed = null;
+          return;
+        }
+        target.blur();
+      }
+      if ((target.type === "range" && event.key.startsWith("Arrow"))) return;
       if (!event.repeat) this.touched = event.timeStamp;
       if (this.steering.key(event, true)) {
         event.preventDefault();
@@ -611,10 +647,15 @@ export class Play {
   }
 
   #restart() {
+    this.#forgetAll();
+    this.link.ask("reset", { character: this.chosen });
+  }
+
+  // Forgets what the steered character was asked for; a held key is sent again.
+  #forgetAll() {
     this.#forgetPath();
     this.#setMode(null);
     this.sent = null;
-    this.link.ask("reset", { character: this.chosen });
   }
 
   /** Starts or ends a recording. */
@@ -627,7 +668,7 @@ export class Play {
     const from = on ? (this.recordedFroms.get(character) ?? performance.now()) : null;
     if (on) this.recordedFroms.set(character, from);
     else this.recordedFroms.delete(character);
-    if (from === this.recordedFrom && this.recordButton.childNodes.length) return;
+    if (from === this.recordedFrom && this.recordButton.querySelector(".dot")) return;
     this.recordedFrom = from;
     this.recordButton.classList.toggle("recording", on);
     this.recordButton.replaceChildren(element("span", { className: "dot" }), on ? "0.0 s" : "Record");

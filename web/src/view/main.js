@@ -99,10 +99,11 @@ class Viewer {
   /** Frames everything visible, or the followed figure. */
   frameAll() {
     this.stage.resize(); // the layout of the page may have changed
-    const shown = this.tracks.filter((track) => track.shown);
+    const visible = this.tracks.filter((track) => track.shown);
+    const shown = visible.length ? visible : this.tracks;
     const angle = this.tracks.length > 1 ? 0.5 : this.#goodSide(this.track.clip);
     if (this.followed) {
-      const { middle, distance } = this.#standBack(this.apart && shown.length ? shown : [this.track], angle);
+      const { middle, distance } = this.#standBack(this.apart && visible.length ? visible : [this.track], angle);
       const [x, z] = this.#place(this.track);
       this.aside = [middle[0] - x, middle[1] - z];
       this.stage.look(new Vector3(middle[0], EYE, middle[1]), angle, 0.17, distance);
@@ -151,7 +152,7 @@ class Viewer {
 
   /** Shows a moment of all motions; a seek by hand also stops playback. */
   seek(time, byHand = false) {
-    if (byHand) this.playing = false;
+    if (byHand && this.playing) this.play(false);
     this.time = Math.max(0, Math.min(this.timeline.seconds, time));
     for (const track of this.tracks) {
       const frame = track.clip.frameAt(this.time);
@@ -377,6 +378,8 @@ class Viewer {
 
   #key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
+    // Lists and buttons take the keys that operate them.
+    if (event.target instanceof HTMLSelectElement || (event.key === " " && event.target instanceof HTMLButtonElement)) return;
     const rate = this.track.clip.fps;
     const actions = {
       " ": () => this.play(),

@@ -1,6 +1,8 @@
 // Caches the files of this version, so that the page works offline after the first visit.
 
-const NAME = "motionkit-__VERSION__";
+// Other pages of this origin may hold other models.
+const OURS = `motionkit-${registration.scope}-`;
+const NAME = `${OURS}__VERSION__`;
 const FILES = ["./", "index.html", "model.bin", "motionkit.wasm"];
 
 // Revalidates with the server, because the browser's cache may hold another version.
@@ -11,7 +13,7 @@ self.addEventListener("install", (event) => {
 });
 
 self.addEventListener("activate", (event) => {
-  const others = (names) => names.filter((name) => name.startsWith("motionkit-") && name !== NAME);
+  const others = (names) => names.filter((name) => name.startsWith(OURS) && name !== NAME);
   event.waitUntil(caches.keys().then((names) => Promise.all(others(names).map((name) => caches.delete(name)))));
 });
 
