@@ -223,3 +223,17 @@ def test_training_without_torch_says_what_to_install() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout == 2 * "training needs torch: pip install 'motionkit[train]'\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    ("types", "options", "said"),
+    [
+        ([], {}, "expected at least one motion type"),
+        ("walking", {"seconds": float("nan")}, "expected a length above 0 s, found nan"),
+        ("walking", {"noise": "mean"}, "expected noise such as mk.Noise"),
+        ("walking", {"keys": [{"time": 1}]}, "expected a Key, found"),
+    ],
+)
+def test_wishes_that_make_no_sense_are_one_line(types: object, options: dict, said: str) -> None:
+    with pytest.raises(mk.MotionkitError, match=said):
+        mk.synthesize(types, **options)

@@ -5,6 +5,7 @@ Keywords that both pass on to SynthesisOptions have their defaults there.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -136,6 +137,10 @@ def synthesis_request(
     """
     model = (model or open_model()).with_reference(reference)
     texts = [types] if isinstance(types, str) else list(types)
+    if not texts:
+        raise ControlError("expected at least one motion type, found none")
+    if seconds is not None and not 0.0 < seconds < math.inf:
+        raise ControlError(f"expected a length above 0 s, found {seconds:g}")
     plans = [parse_types(text, seconds, partial(natural_seconds, model)) for text in texts]
     for plan in plans:
         for part in plan:

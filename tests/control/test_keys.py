@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from motionkit.control.meet import Stretch, arrival, planned_path, recorded_path
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import ControlError, MotionkitError
+from motionkit.features.heading import heading_angles
 from motionkit.inference.start import clip_start
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import write_bvh
@@ -152,6 +154,48 @@ def test_a_way_passes_through_the_keys() -> None:
     assert way[120, 2] == pytest.approx(1.2)
     assert np.linalg.norm(np.diff(way[:, :2], axis=0), axis=-1).max() < 5.0
     assert planned_path([Key(1.0)], np.zeros(3), 60.0, 1.0) is None
+
+
+def headings(motion: Motion) -> Array:
+    """Headings in degrees, without jumps, twice a second."""
+    found = heading_angles(motion_kinematics(motion)[1], motion.fps)
+    return np.rad2deg(np.unwrap(found))[:: round(motion.fps / 2)]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gait_goes_on_where_the_last_key_left_it(model: MotionModel, seed: int) -> None:
+    key = Key(4.0, position=np.array([220.0, 260.0]))
+    made = synthesize(model, parse_types("walking:6"), SynthesisOptions(seed=seed, keys=(key,))).motion
+    assert np.abs(headings(made)[8:] - 40.0).max() < 12.0
+
+
+def test_who_stands_keeps_a_facing(model: MotionModel) -> None:
+    keys = tuple(Key(time, facing=np.pi / 2) for time in (2.0, 5.0))
+    made = synthesize(model, parse_types("idle:7"), SynthesisOptions(keys=keys)).motion
+    assert np.abs(headings(made)[4:] - 90.0).max() < 10.0
+    path = planned_path((*keys, Key(8.0, position=np.array([0.0, 300.0]))), np.zeros(3), 60.0, 1.0)
+    assert path is not None and abs(path[-1, 2]) < 0.05, "who goes on faces the way again"
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        (Key(1.0, facing=float("nan")), "facing: expected a number, found nan"),
+        (Key(1.0, position=np.array([0.0, np.nan])), "position: expected 2 numbers"),
+        (Key(1.0, joints={20: np.zeros(2)}), "RightArm: expected 3 numbers"),
+        ({"time": 1}, "expected a Key, found {'time': 1}"),
+    ],
+)
+def test_keys_that_are_none(key: Key, said: str) -> None:
+    with pytest.raises(ControlError, match=re.escape(said)):
+        check_keys([key])
+
+
+def test_lists_are_positions(model: MotionModel) -> None:
+    key = Key(1.0, position=[0.0, 100.0])  # type: ignore[arg-type]
+    made = synthesize(model, parse_types("walking:1.5"), SynthesisOptions(keys=(key,))).motion
+    assert arrival(made, key)[0] < 0.1
 
 
 def test_a_smoothed_step_rests_at_both_ends() -> None:

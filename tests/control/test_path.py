@@ -290,3 +290,17 @@ def test_tables_of_every_spreadsheet_are_read(tmp_path: Path, name: str, text: s
     """Semicolons, tabs, decimal commas, capitals, spaces, and other endings."""
     plain = read_path(write(tmp_path, "x,z,type\n0.0,0,walking\n0.5,1.5,walking\n", "plain.csv"))
     assert np.array_equal(read_path(write(tmp_path, text, name)).points, plain.points)
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        (PathPart(np.array([[0.0, 0.0], [0.0, np.nan], [0.0, 300.0]]), "walking"), "expected points"),
+        (PathPart(np.zeros((3, 3)), "walking"), "expected points"),
+        (PathPart(np.array([[0.0, 0.0], [0.0, 300.0]]), "walking", -100.0), "expected a speed above 0"),
+        (PathPart(np.array([[0.0, 0.0], [0.0, 300.0]]), "walking", math.nan), "expected a speed above 0"),
+    ],
+)
+def test_parts_that_are_no_paths(part: PathPart, said: str) -> None:
+    with pytest.raises(ControlError, match=f"part 1 of the path .walking.: {said}"):
+        make_path([part])

@@ -105,8 +105,9 @@ def command(
         progress = show.count("synthesizing", None if loops else request.frames)
         result, cycles = request.loops(seconds, progress) if loops else (request.run(progress), [])
         made, views = _write(result, request, cycles, outputs, making, show)
-    for note in filter(None, (cycle.note(seconds) for cycle in cycles)):
-        remark(note)
+    for file, cycle in zip(outputs.files, cycles, strict=False):  # no cycles without --loop
+        if note := cycle.note(seconds):
+            remark(f"{display_name(file)}: {note}" if len(cycles) > 1 else note)
     outputs.show(lambda: views)
     rate = result.frames / max(result.seconds, 1e-9)
     facts = {"roll_out_seconds": result.seconds, "frames_per_second": rate, "seed": making.seed}

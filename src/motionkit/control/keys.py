@@ -81,7 +81,7 @@ class Key:
     def goal(self) -> Array | None:
         """Approximate place (2,) of the hips in cm; None for anywhere."""
         if self.position is not None or not self.joints:
-            return self.position
+            return None if self.position is None else np.asarray(self.position, np.float64)
         points = np.mean(list(self.joints.values()), axis=0)
         return np.asarray(points)[[0, 2]]
 
@@ -141,6 +141,8 @@ def check_keys(keys: Sequence[Key], start: Array | None = ORIGIN) -> tuple[Key, 
 
     start is the place (2,) in cm of the body before the first frame; None if it is not known yet.
     """
+    for key in keys:
+        _check_numbers(key)
     ordered = tuple(sorted(keys, key=lambda key: key.seconds))
     before = Key(0.0, position=start)
     for number, key in enumerate(ordered):
@@ -162,6 +164,20 @@ def check_keys(keys: Sequence[Key], start: Array | None = ORIGIN) -> tuple[Key, 
                 )
         before = key
     return ordered
+
+
+def _check_numbers(key: Key) -> None:
+    """Raise ControlError for what is no key, or has a number that is not finite."""
+    if not isinstance(key, Key):
+        raise ControlError(f"expected a Key, found {str(key)[:40]}")
+    values = [("time", key.seconds, ()), ("position", key.position, (2,)), ("facing", key.facing, ())]
+    values += [(JOINT_NAMES[joint], place, (3,)) for joint, place in key.joints.items()]
+    for name, value, shape in values:
+        if value is not None and (np.shape(value) != shape or not np.isfinite(value).all()):
+            count = "a number" if not shape else f"{shape[0]} numbers"
+            raise ControlError(
+                f"the key at {key.seconds:g} s: {name}: expected {count}, found {str(value)[:40]}"
+            )
 
 
 def check_length(keys: Sequence[Key], seconds: float) -> None:

@@ -18,14 +18,14 @@ from motionkit.arrays import Array, lerp
 from motionkit.control.character_start import CharacterStart
 from motionkit.control.keys import Key, smoothed_step, travel_direction
 from motionkit.control.plan import Plan
+from motionkit.control.planned_controls import CrowdController
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.heading import heading_angles
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS, reference_signal
 from motionkit.finish.finish import Finish, finish
-from motionkit.inference.rollout import Controller
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import MotionType
+from motionkit.models.motion_type import MotionKind, MotionType
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.reach import reach
@@ -178,7 +178,7 @@ class KeyedController:
     def __init__(
         self,
         model: MotionModel,
-        base: Controller,
+        base: CrowdController,
         plans: Sequence[Plan],
         begins: Sequence[CharacterStart],
         share: float,
@@ -190,6 +190,8 @@ class KeyedController:
         ]
 
     def __call__(self, frame: int, ground: Array) -> Controls:
+        left = np.array([keyed.path is not None and frame == len(keyed.path) for keyed in self.keyed])
+        self.base.paths.anchor(frame, left, ground)
         controls = self.base(frame, ground)
         rows = [slice(i, i + 1) for i in range(len(self.keyed))]
         return Controls.concatenated([
@@ -207,6 +209,10 @@ class KeyedControls:
         self.stretches = matched_stretches(model, keys, begin, plan.track, self.path)
         if self.path is not None:
             self.path = recorded_path(self.path, self.stretches, begin.start.ground[0])
+            kinds = [model.kind(model.type_names[int(number)]) for number in plan.track[len(self.path) :][:1]]
+            if kinds == [MotionKind.STANCE]:  # who stands when the last key is met stays so
+                held = np.repeat(self.path[-1:], round(TURN_SECONDS * model.fps), axis=0)
+                self.path = np.concatenate([self.path, held])
         self.steered = np.array([known.kind.steered for known in model.types.values()], np.float32)
         met = {stretch.end for stretch in self.stretches}
         poses = [(round(key.seconds * model.fps), key.pose.embedding) for key in keys if key.pose is not None]
@@ -304,11 +310,14 @@ def planned_path(keys: Sequence[Key], start: Array, fps: float, share: float) ->
             towards = float(wrap_angle(np.array([travel_direction(steps[frame]) - now]))[0])
             now += float(np.clip(towards, -4.0 / fps, 4.0 / fps))
         heading[frame] = now
+    # A body turns to a facing before the key, and while it moves on back to the way that it goes.
+    moved = np.cumsum(np.linalg.norm(steps, axis=1) > STANDING)
     for key in keys:
         if key.facing is not None:
-            at = round(key.seconds * fps)
-            gap = float(wrap_angle(np.array([key.facing - heading[min(at, last)]]))[0])
-            heading = heading + gap * smoothed_step(1.0 - np.abs(frames - at) / (TURN_SECONDS * fps))
+            at = min(round(key.seconds * fps), last)
+            gap = float(wrap_angle(np.array([key.facing - heading[at]]))[0])
+            away = np.where(frames < at, at - frames, moved - moved[at])
+            heading = heading + gap * smoothed_step(1.0 - away / (TURN_SECONDS * fps))
     path[:, 2] = heading
     return path
 

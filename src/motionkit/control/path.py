@@ -69,9 +69,21 @@ class Path2D:
 
 
 def make_path(parts: list[PathPart]) -> Path2D:
-    """Join parts end to end; raises ControlError for a part shorter than 4 cm or a path that is too long."""
+    """Join parts end to end.
+
+    Raises:
+        ControlError: a part is shorter than 4 cm or has values out of range, or the path is too long.
+    """
     if not parts:
         raise ControlError("the path has no parts")
+    for number, part in enumerate(parts, 1):
+        points = np.asarray(part.points)
+        if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+            raise ControlError(f"part {number} of the path ({part.type}): expected points (N, 2) of numbers")
+        if part.speed is not None and not 0.0 < part.speed < math.inf:
+            raise ControlError(
+                f"part {number} of the path ({part.type}): expected a speed above 0, found {part.speed}"
+            )
     corners = np.concatenate([part.points for part in parts]).astype(np.float64)
     last = np.cumsum([len(part.points) for part in parts]) - 1
     arcs = np.pad(length(np.diff(corners, axis=0)).cumsum(), (1, 0))[np.maximum(last, 0)]

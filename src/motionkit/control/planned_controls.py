@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motionkit.arrays import Array, length
 from motionkit.control.memory import Bodies, FoundStances
@@ -108,12 +109,19 @@ class GaitPaths:
                     self.begins[segment.first, character] = self.leads[rows, character] = True
                     self.paths[rows, character] = integrated_path(planned.trajectory[rows, character])
 
+    def anchor(self, row: int, which: NDArray[np.bool_], ground: Array) -> None:
+        """Let the ways of some characters (B,) go on from where their bodies are at a row: at ground (B, 3)."""
+        here, path = ground.astype(np.float64), self.paths[min(row, len(self.paths) - 1)]
+        heading = here[:, 2] - path[:, 2]
+        place = here[:, :2] - rotate_ground(heading, path[:, :2])
+        self.origins[which] = np.concatenate([place, heading[:, None]], axis=1)[which]
+
     def corrected(self, controls: Controls, row: int, ground: Array) -> Controls:
         """Move trajectories (B, 24) of a row so that they lead bodies at ground (B, 3) back to their ways."""
         leads, begins, here = self.leads[row], self.begins[row], ground.astype(np.float64)
         if not leads.any():
             return controls
-        self.origins[begins] = here[begins]
+        self.anchor(row, begins, ground)
         path = self.paths[row]
         gap = self.origins[:, :2] + rotate_ground(self.origins[:, 2], path[:, :2]) - here[:, :2]
         far = np.maximum(length(gap) / FAR, 1.0)[:, None]

@@ -64,7 +64,7 @@ class SynthesisOptions:
     noise None takes the model's default noise, and fps None its rate. ik finishes the motion, raw also keeps the motion
     before finishing, and keys are keys to meet.
 
-    Raises ControlError for a count below 1 or an invalid seed.
+    Raises ControlError for a count below 1, an invalid seed, or a noise that is no Noise.
     """
 
     count: int = 1
@@ -81,6 +81,8 @@ class SynthesisOptions:
         if self.count < 1:
             raise ControlError(f"expected at least 1 motion, found {self.count}")
         check_seed(self.seed)
+        if self.noise is not None and not isinstance(self.noise, Noise):
+            raise ControlError(f"expected noise such as mk.Noise('mean'), found {self.noise!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +141,8 @@ def synthesize(
             with_final_rest(model, plan_types(model, sequence, starts[-1].start_state), options.seed + i)
         )
     state = _begun(model, options, bodies, starts, plans)
-    controller: Controller = CrowdController(model, plans, options.seed, state.frame)
+    crowd = CrowdController(model, plans, options.seed, state.frame)
+    controller: Controller = crowd
     if options.keys:
         share = model.body_scale(names[0])
         if any(model.body_scale(name) != share for name in names[: options.count]):
@@ -147,7 +150,7 @@ def synthesize(
         for each in starts:
             check_keys(options.keys, share * each.start.ground[0, :2])
         keyed = [plan_keys(plan, options.keys) for plan in plans]
-        controller = KeyedController(model, controller, keyed, starts, share)
+        controller = KeyedController(model, crowd, keyed, starts, share)
     limits = [acceleration_limit(model, [part.type for part in plan.parts]) for plan in plans]
     started = time.perf_counter()
     rollout = run(state, max(len(plan.track) for plan in plans), controller, progress)
