@@ -1,7 +1,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+
+import pytest
+
+from motionkit.export.formats import read_motion, write_motion
+from motionkit.motion.kinematics import motion_kinematics
+from synthetic_motions import make_walk
 
 
 def test_keys_of_a_file(motionkit, tmp_path: Path) -> None:
@@ -35,3 +42,19 @@ def test_the_clip_of_a_key_is_not_overwritten(motionkit, tmp_path: Path) -> None
     said = motionkit(*words)
     assert said.code == 2 and "pose.bvh: is read by this command" in said.err
     assert (tmp_path / "pose.bvh").read_bytes() == before
+
+
+@pytest.mark.parametrize("command", ["synthesize", "follow-path"])
+def test_places_are_those_of_the_world_of_the_rig(motionkit, tmp_path: Path, command: str) -> None:
+    walk = make_walk(frames=30).scaled(0.6)
+    write_motion(tmp_path / "child.glb", replace(walk, skeleton=replace(walk.skeleton, cm=1.0, up="+Y")))
+    (tmp_path / "keys.json").write_text(json.dumps({"keys": [{"time": 3, "position": [0, 3]}]}))
+    part = {"type": "walking", "points": [[0, 0], [0, 3]], "stop": 1}
+    (tmp_path / "path.json").write_text(json.dumps({"parts": [part]}))
+    words = ["path.json"] if command == "follow-path" else ["--types", "walking:3", "--keys", "keys.json"]
+    said = motionkit(command, *words, "--rig", "child.glb", "-o", "out.npz")
+    assert said.code == 0
+    hips = motion_kinematics(read_motion(tmp_path / "out.npz"))[1][-1, 0]
+    assert abs(hips[2] - 300.0) < 8.0 and abs(hips[0]) < 8.0 and 40.0 < hips[1] < 65.0
+    told = "along 3.0 m" if command == "follow-path" else "key at 3 s: 0."
+    assert told in said.out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from motionkit.cli.synthesis_options import (
 
 if TYPE_CHECKING:
     from motionkit.control.follow import FollowResult
-    from motionkit.requests import PathRequest
+    from motionkit.control.path import Path2D
 
 
 FAR = 30_000.0  # cm; a longer path may have been meant in other units
@@ -81,8 +82,11 @@ def command(
         remark(
             f"the path is {metres:.0f} m long; paths are in metres: divide by 100 if yours is in centimetres"
         )
+    size = making.choice.size(model.character(making.character))
+    if making.choice.rig is not None:  # the path is in the world of the rig
+        request = replace(request, path=target.scaled(1.0 / size))
     announce(request.seconds, model.fps, request.options)
-    for line in other_speeds(model, target) + doubtful_parts(model, target):
+    for line in other_speeds(model, request.path) + doubtful_parts(model, request.path):
         remark(line)
     with Stages() as show:
         result = request.run(show.share("following"))
@@ -98,7 +102,7 @@ def command(
         "file": outputs.file,
         "frames": len(written),
         "fps": written.fps,
-        **_facts(request, result),
+        **_facts(target, result, size),
         "metrics": motion_metrics(measured, making.choice.rig),
     }
     facts["frames_per_second"] = result.frames / max(result.seconds, 1e-9)
@@ -106,17 +110,17 @@ def command(
     outputs.report(facts, _lines(facts, making.choice.words))
 
 
-def _facts(request: PathRequest, result: FollowResult) -> dict[str, Any]:
-    """Facts about the result, for JSON."""
+def _facts(path: Path2D, result: FollowResult, size: float) -> dict[str, Any]:
+    """Facts about the result, for JSON; size is that of the rig relative to the body of the result."""
     parts = [
-        {"type": part.type, "mean_cm": None if d is None else d[0], "max_cm": None if d is None else d[1]}
-        for part, d in zip(request.path.parts, result.part_distances, strict=True)
+        {"type": part.type, "mean_cm": d and size * d[0], "max_cm": d and size * d[1]}
+        for part, d in zip(path.parts, result.part_distances, strict=True)
     ]
     return {
         "finished": result.finished,
-        "path_cm": request.path.length,
-        "trajectory_distance_cm": result.distance.mean,
-        "largest_distance_cm": result.distance.max,
+        "path_cm": path.length,
+        "trajectory_distance_cm": size * result.distance.mean,
+        "largest_distance_cm": size * result.distance.max,
         "coverage": result.distance.coverage,
         "parts": parts,
     }

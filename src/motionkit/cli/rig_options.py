@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from motionkit.export.clip import Clip
     from motionkit.finish.finish import Unfinished
     from motionkit.motion.motion import Motion
+    from motionkit.motion.skeleton import Skeleton
     from motionkit.rig.character import Character
     from motionkit.rig.rig import Rig
 
@@ -163,6 +164,25 @@ class RigChoice:
     def words(self) -> str:
         """Text after a motion's name in messages: the rig it is on."""
         return "" if self.rig is None else f" on {self.rig.name}"
+
+    def size(self, body: Skeleton) -> float:
+        """The leg length of the rig relative to that of a body in cm: by this the rig's places differ."""
+        if self.rig is None:
+            return 1.0
+        from motionkit.motion.skeleton import leg_length
+        from motionkit.rig.units import guess_scale
+
+        with as_found():
+            return self.rig.leg * guess_scale(self.rig.leg, self.rig.skeleton.cm)[0] / leg_length(body)
+
+    def own_body(self, written: Motion, measured: Motion) -> Motion:
+        """A written motion on the canonical joints with the bones of the rig; `measured` without a rig."""
+        if self.rig is None:
+            return measured
+        from motionkit.rig.upright import Upright
+
+        with as_found():
+            return Upright.of(written).canonical or measured
 
     @property
     def character(self) -> Character | None:

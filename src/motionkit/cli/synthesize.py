@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,9 +30,9 @@ from motionkit.cli.synthesis_options import (
 )
 
 if TYPE_CHECKING:
+    from motionkit.control.keys import Key
     from motionkit.control.synthesize import SynthesisResult
     from motionkit.editing.loop import Loop
-    from motionkit.requests import SynthesisRequest
     from motionkit.view.figure_data import MotionView
 
 
@@ -96,6 +97,11 @@ def command(
     length = loop_seconds(seconds) if loops else seconds
     request = synthesis_request(types, seconds=length, count=count, keys=keys_file or (), **making.words())
     inputs = (*making.inputs, *((keys_file, *key_files(keys_file)) if keys_file else ()))
+    keys = request.options.keys  # in the world of the rig
+    if keys:
+        smaller = 1.0 / making.choice.size(request.model.character(making.character))
+        met = tuple(key.scaled(smaller) for key in keys)
+        request = replace(request, options=replace(request.options, keys=met))
     ending = making.choice.ending
     outputs = output_options.files(request.name, inputs, request.options.count, ending=ending)
     announce(request.frames / request.model.fps, request.model.fps, request.options)
@@ -104,7 +110,7 @@ def command(
     with Stages() as show:
         progress = show.count("synthesizing", None if loops else request.frames)
         result, cycles = request.loops(seconds, progress) if loops else (request.run(progress), [])
-        made, views = _write(result, request, cycles, outputs, making, show)
+        made, views = _write(result, keys, cycles, outputs, making, show)
     for file, cycle in zip(outputs.files, cycles, strict=False):  # no cycles without --loop
         if note := cycle.note(seconds):
             remark(f"{display_name(file)}: {note}" if len(cycles) > 1 else note)
@@ -143,7 +149,7 @@ def _check(
 
 def _write(
     result: SynthesisResult,
-    request: SynthesisRequest,
+    keys: Sequence[Key],
     cycles: Sequence[Loop],
     outputs: Outputs,
     making: Making,
@@ -168,8 +174,9 @@ def _write(
         seam = motion_seam(cycle) if cycles else None
         if seam:
             facts |= seam.as_dict()
-        if request.options.keys:
-            away = [(key.seconds, *arrival(measured, key)) for key in request.options.keys]
+        if keys:
+            own = making.choice.own_body(put, measured)
+            away = [(key.seconds, *arrival(own, key)) for key in keys]
             facts["keys"] = [dict(zip(("seconds", "cm", "degrees"), each, strict=True)) for each in away]
         made.append({"facts": facts, "seam": seam})
     return made, views

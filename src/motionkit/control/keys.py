@@ -77,6 +77,13 @@ class Key:
     facing: float | None = None
     joints: dict[int, Array] = field(default_factory=dict)
 
+    def scaled(self, factor: float) -> Key:
+        """The same key with place and points times a factor."""
+        position = None if self.position is None else np.asarray(self.position) * factor
+        return replace(
+            self, position=position, joints={j: factor * place for j, place in self.joints.items()}
+        )
+
     @property
     def goal(self) -> Array | None:
         """Approximate place (2,) of the hips in cm; None for anywhere."""

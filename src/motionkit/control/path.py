@@ -9,7 +9,7 @@ import csv
 import math
 from collections.abc import Callable
 from ctypes import byref
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +66,13 @@ class Path2D:
     def length(self) -> float:
         """Arc length in cm."""
         return (len(self.points) - 1) * SPACING
+
+    def scaled(self, factor: float) -> Path2D:
+        """The path with points and speeds times a factor; raises ControlError like make_path."""
+        return make_path([
+            replace(part, points=part.points * factor, speed=part.speed and part.speed * factor)
+            for part in self.parts
+        ])  # fmt: skip
 
 
 def make_path(parts: list[PathPart]) -> Path2D:
