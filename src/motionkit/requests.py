@@ -18,7 +18,7 @@ from motionkit.control.lead_ins import natural_seconds
 from motionkit.control.path import Path2D, check_shape_options, read_path, shape_path
 from motionkit.control.plan import plan_path, plan_types
 from motionkit.control.script import TypePart, parse_types
-from motionkit.control.speeds import check_speeds
+from motionkit.control.speeds import check_speeds, hurried_keys
 from motionkit.control.steering import walking_type
 from motionkit.control.synthesize import SynthesisOptions, SynthesisResult
 from motionkit.errors import ControlError
@@ -100,6 +100,12 @@ class SynthesisRequest:
             for part in sorted(parts, key=lambda part: (part.type, part.seconds))
             if part.seconds < (seconds := self.model.phase_seconds(part.type)) - 1e-6
         ]
+
+    @property
+    def doubtful(self) -> list[str]:
+        """Lines for what may not look right: types cut short, and gaits that keys hurry."""
+        keys = self.options.keys
+        return self.cut_short + [line for plan in self.plans for line in hurried_keys(self.model, plan, keys)]
 
     def run(self, progress: Callable[[int], None] | None = None) -> SynthesisResult:
         """Synthesize; progress is called with the number of frames done."""

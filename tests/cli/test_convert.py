@@ -32,7 +32,7 @@ def test_convert(motionkit, walk: Motion, tmp_path: Path) -> None:
     said = motionkit("convert", "a.glb", "b.bvh", "--fps", 30, "--json")
     assert json.loads(said.out) == {
         "file": "a.glb",
-        "taken": f"40 frames at 60 fps; {took.replace('centimetres', 'detected from leg length: metres')}",
+        "taken": f"40 frames at 60 fps; {took.replace('centimetres', 'metres, as the format says')}",
         "output": "b.bvh",
         "frames": 20,
         "fps": 30.0,

@@ -58,3 +58,9 @@ def test_places_are_those_of_the_world_of_the_rig(motionkit, tmp_path: Path, com
     assert abs(hips[2] - 300.0) < 8.0 and abs(hips[0]) < 8.0 and 40.0 < hips[1] < 65.0
     told = "along 3.0 m" if command == "follow-path" else "key at 3 s: 0."
     assert told in said.out
+
+
+def test_keys_that_hurry_a_walk_are_told(motionkit, tmp_path: Path) -> None:
+    (tmp_path / "keys.json").write_text(json.dumps({"keys": [{"time": 2, "position": [0, 8]}]}))
+    said = motionkit("synthesize", "--types", "walking:2", "--keys", "keys.json", "-o", "a.npz")
+    assert said.code == 0 and "the key at 2 s asks walking for 4.00 m/s: 0." in said.err

@@ -16,7 +16,7 @@ WORDS = "150 frames at 60 fps; unit: centimetres; +Y up; 23 joints found by name
 def test_units_of_characters_and_files_that_are_given_twice(motionkit, tmp_path: Path) -> None:
     """A .glb is in metres whatever reads it, and each clip of a join has its line."""
     write_motion(tmp_path / "a.glb", make_walk(150))
-    line = f"  a.glb: {WORDS}".replace("centimetres", "detected from leg length: metres")
+    line = f"  a.glb: {WORDS}".replace("centimetres", "metres, as the format says")
     for words in (
         "convert a.glb a.csv",
         "metrics a.glb",

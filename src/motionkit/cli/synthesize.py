@@ -105,7 +105,7 @@ def command(
     ending = making.choice.ending
     outputs = output_options.files(request.name, inputs, request.options.count, ending=ending)
     announce(request.frames / request.model.fps, request.model.fps, request.options)
-    for line in request.cut_short:
+    for line in request.doubtful:
         remark(line)
     with Stages() as show:
         progress = show.count("synthesizing", None if loops else request.frames)

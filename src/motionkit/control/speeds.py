@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from ctypes import byref
 from dataclasses import astuple, dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.keys import ORIGIN, Key
 from motionkit.control.path import METRE, SPACING, Path2D, PathPart
+from motionkit.control.script import TypePart
 from motionkit.control.steering import WALK_SPEED, Steering, or_nan
 from motionkit.control.steering_kernel import doubles, steering_library
 from motionkit.errors import ControlError
@@ -35,6 +38,7 @@ PROFILE = ProfileSettings()
 LATERAL = 150.0  # cm/s^2 towards the inside of a curve, for a type without recordings; chosen
 LATERAL_SHARE = 0.98  # quantile of recorded lateral accelerations; frames above it are outliers; chosen
 STRIDE = 0.5  # s over which their velocities are measured, because hips sway with every step; chosen
+SOME = 0.1  # share above the fastest recorded speed from which a key asks for too much; chosen
 SHORT = 0.5  # share of a performance's duration below which a part may be too short for it; chosen
 # Quantile of recorded acceleration that limits a motion; frames above it are outliers and peaks from locked feet.
 RECORDED_SHARE = 0.997
@@ -77,6 +81,21 @@ def doubtful_parts(model: MotionModel, path: Path2D) -> list[str]:
                 f"part {number}: {part.type} takes some {seconds * float(speed) / METRE:.1f} m, found "
                 f"{float(length) / METRE:.1f} m, in which it may not be shown"
             )
+    return lines
+
+
+def hurried_keys(model: MotionModel, parts: Sequence[TypePart], keys: Sequence[Key]) -> list[str]:
+    """A line for each key that asks the gait before it for more speed than its recordings have."""
+    ends = np.cumsum([part.seconds for part in parts])
+    lines = []
+    for before, key in pairwise([Key(0.0, position=ORIGIN), *(key for key in keys if key.goal is not None)]):
+        kind = parts[min(int(np.searchsorted(ends, key.seconds)), len(parts) - 1)].type
+        span = model.speed_range(kind) if model.kind(kind) is MotionKind.GAIT else None
+        assert key.goal is not None and before.goal is not None
+        speed = float(np.linalg.norm(key.goal - before.goal)) / (key.seconds - before.seconds)
+        if span is not None and speed > span[1] * (1.0 + SOME):
+            asked = f"the key at {key.seconds:g} s asks {kind} for {speed / METRE:.2f} m/s"
+            lines.append(f"{asked}: {_recorded(model, kind)}")
     return lines
 
 
