@@ -132,10 +132,10 @@ def _run_folder(values: dict[str, Any], whole: _Folder, jobs: int) -> None:
         raise OverwriteError(f"{out}: is inside the input folder {folder}; choose another output folder")
     found = clips_of(folder)
     places = [(out / path.relative_to(folder)).with_suffix(f".{form}") for path in found]
-    twice = [place for place, count in Counter(places).items() if count > 1]
+    counts = Counter(places)
     # Files of one name with different endings keep these.
     places = [
-        place.with_name(f"{path.stem}-{path.suffix[1:]}.{form}") if place in twice else place
+        place.with_name(f"{path.stem}-{path.suffix[1:]}.{form}") if counts[place] > 1 else place
         for path, place in zip(found, places, strict=True)
     ]
     check_outputs((file for pair in zip(found, places, strict=True) for file in written(*pair)), found)

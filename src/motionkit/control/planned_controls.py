@@ -111,6 +111,8 @@ class GaitPaths:
 
     def anchor(self, row: int, which: NDArray[np.bool_], ground: Array) -> None:
         """Let the ways of some characters (B,) go on from where their bodies are at a row: at ground (B, 3)."""
+        if not which.any():
+            return
         here, path = ground.astype(np.float64), self.paths[min(row, len(self.paths) - 1)]
         heading = here[:, 2] - path[:, 2]
         place = here[:, :2] - rotate_ground(heading, path[:, :2])

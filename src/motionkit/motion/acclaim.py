@@ -83,7 +83,7 @@ class _Skeleton:
     @property
     def cm(self) -> float:
         """cm per unit of the file; 1 if it names no unit, or the user does."""
-        return 1.0 if self.length == 1.0 or user_cm() is not None else INCH / self.length
+        return 1.0 if self.stated_cm is None or user_cm() is not None else self.stated_cm
 
     @property
     def stated_cm(self) -> float | None:

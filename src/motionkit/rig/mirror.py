@@ -55,12 +55,13 @@ def mirror_plan(motion: Motion, limbs: Mapping[str, int] | None = None) -> Mirro
         signs = REFLECTIONS[axis]
         plans.insert(0, MirrorPlan(opposites, world if axis == up else signs, (signs,) * len(skeleton)))
     errors = [_error(some, plan) for plan in plans]
-    if min(errors) <= _SYMMETRIC:
+    least = min(errors)
+    if least <= _SYMMETRIC:
         return next(plan for plan, error in zip(plans, errors, strict=True) if error <= _SYMMETRIC)
     turned = replace(
         plans[-1], joints=(world,) * len(skeleton), turns=_turns(skeleton, opposites, places, world)
     )
-    return min((*plans, turned), key=lambda plan: _error(some, plan))
+    return turned if _error(some, turned) < least else plans[errors.index(least)]
 
 
 def _sampled(motion: Motion) -> Motion:

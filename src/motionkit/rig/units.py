@@ -80,12 +80,16 @@ def guess_scale(leg: float, stated: float | None = None) -> tuple[float, str]:
     if cm is not None:
         return cm, BY_USER
     if stated is not None and SMALLEST_LEG <= leg * stated <= LARGEST_LEG:
-        return stated, f"{unit_of(stated).name}, as the format says"
+        return _as_stated(stated)
     unit = likely_unit(leg / LEG_TO_STATURE)
     if unit is not None:
         return unit.cm, f"detected from leg length: {unit.name}"
     scale = TYPICAL / (leg / LEG_TO_STATURE)
     return scale, f"no known unit fits a leg of {leg:.4g}, scaled to a stature of {TYPICAL:.0f} cm"
+
+
+def _as_stated(cm: float) -> tuple[float, str]:
+    return cm, f"{unit_of(cm).name}, as the format says"
 
 
 def check_leg(leg: float) -> None:
@@ -112,7 +116,7 @@ def motion_unit(motion: Motion) -> tuple[float, str]:
     if leg > 0.0:
         return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG), stated)
     if stated is not None:
-        return stated, f"{unit_of(stated).name}, as the format says"
+        return _as_stated(stated)
     if _chain_stature(motion) <= METRES_UP_TO:
         return 100.0, "no human rig; taken as metres"
     return 1.0, "no human rig; taken as centimetres"
