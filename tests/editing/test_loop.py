@@ -15,7 +15,7 @@ from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion, write_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
-from motionkit.motion.rotations import quat_angle, quat_from_yaw, quat_multiply, quat_rotate
+from motionkit.motion.rotations import quat_angle, quat_from_yaw, quat_multiply, quat_rotate, rotate_ground
 from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.upright import Upright
 from synthetic_motions import make_walk
@@ -159,6 +159,17 @@ def test_the_usual_pace_of_a_clip_decides() -> None:
     )
 
 
+def test_the_usual_direction_of_a_clip_decides() -> None:
+    """A body that goes straight ahead for long, and at the same speed aside for a short while."""
+    ahead, aside = make_walk(400, speed=100.0, turn=0.0), make_walk(160, speed=100.0, turn=0.0, cadence=1.5)
+    roots = aside.root_positions.copy()
+    ground = roots[:, [0, 2]].astype(np.float64)
+    roots[:, [0, 2]] = rotate_ground(np.full(len(ground), np.deg2rad(40.0)), ground)
+    loop = make_loop(joined(replace(aside, root_positions=roots), ahead), from_origin=True)
+    x, _, z = loop.motion.root_positions[-1]
+    assert abs(np.degrees(np.arctan2(x, z))) < 5.0 and loop.at_pace
+
+
 @pytest.mark.parametrize("minutes", [1.9, 6.0, 12.0])
 def test_a_long_clip_has_the_cycle_of_a_short_one(minutes: float) -> None:
     """Of a standing start, a fast stretch and a walk, whose steps a long stride would always meet at the same pose."""
@@ -289,6 +300,16 @@ def test_what_does_not_repeat_at_once_is_synthesized_for_longer(
     said = motionkit("synthesize", "--types", "walking", "--loop", "-o", "long.bvh")
     assert said.code == 0, said.err
     assert asked == [480, 960, 1920]
+
+    def aside(motion: Motion, seconds: float | None = None, from_origin: bool = False) -> Loop:
+        asked.append(len(motion))
+        return replace(make_loop(motion, seconds, from_origin), at_pace=len(asked) == 2)
+
+    asked[:] = []
+    monkeypatch.setattr("motionkit.editing.loop.make_loop", aside)
+    said = motionkit("synthesize", "--types", "walking", "--loop", "-o", "aside.bvh")
+    assert said.code == 0 and asked == [480, 960], "a cycle at another velocity is not taken at once"
+    monkeypatch.setattr("motionkit.editing.loop.make_loop", found)
     asked[:] = [-3]
     monkeypatch.setattr("motionkit.editing.loop.LOOP_TRIES", ())
     said = motionkit("synthesize", "--types", "walking", "--loop", "-o", "never.bvh")

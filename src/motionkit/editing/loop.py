@@ -58,7 +58,7 @@ CLOSED = (
 )
 CLOSED_STEP = 0.5  # the same, as a share of the clip's median step between frames
 STILL = 0.05  # cm; a clip with a smaller median difference does not move
-# Cycles within this share of the clip's median speed, or this many cm/s, are preferred.
+# Cycles whose mean velocity is within this share of the clip's median one, or this many cm/s, are preferred.
 PACE_SHARE, PACE = 0.1, 10.0
 # Among lengths this close to the requested one, as a share or in seconds, the most similar ends win.
 WISH_SHARE, WISH_SECONDS = 0.05, 0.1
@@ -113,6 +113,7 @@ class Loop:
         seam: the discontinuity where the cycle repeats.
         difference: cm between the ends of the cycle in the clip: poses, velocities and contacts combined.
         times: how often the motion repeats the cycle.
+        at_pace: whether the cycle has about the clip's median velocity, if the clip travels.
     """
 
     motion: Motion
@@ -121,6 +122,7 @@ class Loop:
     seam: Seam
     difference: float
     times: int = 1
+    at_pace: bool = True
 
     @property
     def seconds(self) -> float:
@@ -163,7 +165,11 @@ def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = 
     closed = _repeated(_closed(upright, start, end), times)
     if from_origin:
         closed = at_origin(closed, cyclic=True)
-    return Loop(upright.back(closed), start, end, seam(closed), difference, times)
+    velocities = _velocities(upright)
+    usual = np.median(velocities, axis=0)
+    travels = float(np.linalg.norm(usual)) > STANDING_SPEED  # else strikes and jumps would be far from it
+    at_pace = not travels or bool(_near_pace(velocities[start:end].mean(axis=0), usual))
+    return Loop(upright.back(closed), start, end, seam(closed), difference, times, at_pace)
 
 
 def loop_seconds(wish: float | None) -> float:
@@ -177,7 +183,8 @@ def find_loops(
     """The best cycle of each synthesized motion, closed and moved to the origin.
 
     Args:
-        make: synthesizes the motions at a multiple of their usual length; called again with more if nothing repeats.
+        make: synthesizes the motions at a multiple of their usual length; called again with more if nothing repeats
+            at the usual velocity.
         kinds: their types, which motions take in turn; before a performance they stand.
         seconds: length of the cycle, as in make_loop.
 
@@ -189,15 +196,21 @@ def find_loops(
     """
     from motionkit.control.script import TypePart
 
+    found = None
     for times in (1, *LOOP_TRIES):
         result = make(times)
         try:
             cycles = [make_loop(one.motion, seconds, from_origin=True) for one in result.motions]
-            break
         except MotionkitError as error:
             fault = str(error).replace("the clip", "the motion", 1)
-    else:
+            continue
+        found = found or (result, cycles)
+        if all(cycle.at_pace for cycle in cycles):
+            found = result, cycles
+            break
+    if found is None:
         raise MotionkitError(f"{fault}; try another --seed, or --seconds")
+    result, cycles = found
     motions = tuple(
         replace(
             one,
@@ -309,7 +322,7 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
     stretches = -(-len(motion) // round(max(STRETCH, 4.0 * (seconds or 0.0)) * motion.fps))
     if stretches <= 1:
         return _found(upright, seconds)
-    usual = float(np.median(_paces(upright)))
+    usual = np.median(_velocities(upright), axis=0)
     found, faults = [], set[str]()
     for frames in np.array_split(np.arange(len(motion)), stretches):
         first = int(frames[0])
@@ -319,10 +332,8 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
         except MotionkitError as error:
             faults.add(str(error))
             continue
-        pace = float(_paces(part)[start : end + 1].mean())
-        found.append(
-            (abs(pace - usual) > max(PACE_SHARE * usual, PACE), difference, first + start, first + end)
-        )
+        other_pace = not _near_pace(_velocities(part)[start : end + 1].mean(axis=0), usual)
+        found.append((other_pace, difference, first + start, first + end))
     if not found:
         words = f"the clip never repeats within {len(motion) / stretches / motion.fps:.0f} s"
         raise MotionkitError(faults.pop() if len(faults) == 1 else words)
@@ -353,7 +364,7 @@ def _found(upright: Upright, seconds: float | None) -> tuple[int, int, float]:
             "the clip never repeats: no two frames have the same facing and enough movement between them"
         )
     limit = min(max(MOST_SHARE * usual, LEAST_LIMIT), MOST_LIMIT)
-    usual_pace = pairs & _at_its_pace(upright, every)
+    usual_pace = pairs & _at_its_pace(upright, every, np.median(_velocities(upright), axis=0))
     pairs = usual_pace if bool((apart[usual_pace] <= limit).any()) else pairs
     apart = np.where(pairs, apart, np.inf)
     a, b = (
@@ -388,16 +399,12 @@ def pose_rows(upright: Upright) -> Array:
     """Poses, velocities and contacts (T, C), scaled so that the distance of two rows is a mean over joints in cm."""
     poses = upright.facing_positions.astype(np.float64)
     frames, joints = poses.shape[:2]
-    track = upright.positions[:, 0, [0, 2]].astype(np.float64)
-    velocity = (
-        rotate_ground(-upright.heading.astype(np.float64), np.gradient(track, axis=0)) * upright.motion.fps
-    )
     speeds = np.gradient(poses, axis=0) * upright.motion.fps
     # Poses hardly show sliding feet and a stopping root, so root velocity weighs as much as all joints together.
     parts = [
         poses.reshape(frames, -1) / np.sqrt(joints),
         VELOCITY_SECONDS * speeds.reshape(frames, -1) / np.sqrt(joints),
-        VELOCITY_SECONDS * velocity,
+        VELOCITY_SECONDS * _velocities(upright),
         CONTACT_CM / 2.0 * upright.contacts,
     ]
     return np.concatenate(parts, axis=1)
@@ -422,21 +429,23 @@ def _reach(apart: Array) -> Array:
     return np.asarray(np.maximum.accumulate(np.triu(apart), axis=1))
 
 
-def _paces(upright: Upright) -> Array:
-    """Speeds (T,) over the ground in cm/s."""
+def _velocities(upright: Upright) -> Array:
+    """Velocities (T, 2) over the ground in the heading frame, in cm/s."""
     track = upright.positions[:, 0, [0, 2]].astype(np.float64)
-    return np.linalg.norm(np.gradient(track, axis=0), axis=1) * upright.motion.fps
+    return rotate_ground(-upright.heading.astype(np.float64), np.gradient(track, axis=0)) * upright.motion.fps
 
 
-def _at_its_pace(upright: Upright, every: Array) -> Array:
-    """Which pairs of frames (N, N) enclose motion at about the clip's median speed."""
-    fps, speeds = upright.motion.fps, _paces(upright)
-    usual = float(np.median(speeds))
-    distance = np.cumsum(speeds)[every] / fps
-    lengths = np.maximum(every[None, :] - every[:, None], 1) / fps
-    return np.asarray(
-        np.abs((distance[None, :] - distance[:, None]) / lengths - usual) <= max(PACE_SHARE * usual, PACE)
-    )
+def _at_its_pace(upright: Upright, every: Array, usual: Array) -> Array:
+    """Which pairs of frames (N, N) enclose motion at about a usual velocity (2,), as of _velocities."""
+    way = np.cumsum(_velocities(upright), axis=0)[every]
+    lengths = np.maximum(every[None, :] - every[:, None], 1)[..., None]
+    return _near_pace((way[None, :] - way[:, None]) / lengths, usual)
+
+
+def _near_pace(velocities: Array, usual: Array) -> Array:
+    """Which velocities (..., 2) are about a usual one (2,)."""
+    away = np.linalg.norm(velocities - usual, axis=-1)
+    return np.asarray(away <= max(PACE_SHARE * float(np.linalg.norm(usual)), PACE))
 
 
 def _shortest(apart: Array, every: Array, limit: float) -> tuple[int, int]:
