@@ -11,6 +11,7 @@ import pytest
 
 from motionkit.training.options import GROUP_OF, GROUPS, Stage, TrainOptions, flat_options, with_changes
 from motionkit.training.presets import STAGES, fine_tune_options, train_options
+from motionkit.training.progress import Progress
 
 TWO = (Stage(0.0, {"share": 0.0}), Stage(0.5, {"share": 0.3, "step_weight": 7.0}))
 
@@ -26,6 +27,20 @@ def test_a_run_from_a_model_is_in_the_last_stage() -> None:
     options = TrainOptions(steps=10, stages=TWO, init="bundled")
     assert options.at(0.0) == options.at(1.0)
     assert options.at(0.0).losses.step_weight == 7.0
+
+
+def test_later_cycles_begin_at_the_peak_rate_in_the_last_stage() -> None:
+    options = train_options("tptn", steps=400, cycles=2, warmup=0)
+    at = Progress(options)
+    rates = []
+    for at.step in range(400):
+        rates.append(at.rate)
+    once = Progress(train_options("tptn", steps=200, warmup=0))
+    for once.step in range(200):
+        assert rates[once.step] == once.rate, "the first half is that of a run of one cycle"
+        assert rates[200 + once.step] == pytest.approx(once.rate)
+    assert options.at(0.2).losses.step_weight == 10.0, "stages are shares of the first cycle"
+    assert options.at(0.5).sampler.controls.reference_dropout == 0.5
 
 
 def test_what_is_asked_for_holds_in_all_stages() -> None:

@@ -229,6 +229,20 @@ def test_a_run_resumes_within_a_block(dataset_folder: Path, tmp_path: Path, tiny
     assert same_weights(whole, broken)
 
 
+def test_a_finished_run_goes_on_with_another_cycle(
+    dataset_folder: Path, tmp_path: Path, tiny_options
+) -> None:
+    """Twice the steps in two cycles: the first half, with its stages and blocks, is a run of one cycle."""
+    stages = (Stage(0.0, {"share": 0.5}), Stage(0.4, {"balance": 0.0, "step_weight": 20.0}))
+    whole, later = tmp_path / "whole.safetensors", tmp_path / "later.safetensors"
+    two = tiny_options(steps=10, period=3, stages=stages, cycles=2)
+    train(dataset_folder, whole, two, device="cpu")
+    train(dataset_folder, later, tiny_options(steps=5, period=3, stages=stages), device="cpu")
+    train(dataset_folder, later, two, resume=True, device="cpu")
+    assert losses_of(later) == losses_of(whole)
+    assert same_weights(whole, later)
+
+
 def test_a_run_can_start_from_a_model(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     first, second = tmp_path / "first.safetensors", tmp_path / "second.safetensors"
     train(dataset_folder, first, tiny_options(steps=20, rate=1e-3), device="cpu")

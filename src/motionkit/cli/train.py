@@ -156,6 +156,11 @@ class Run:
 )
 @click.option("--rate", type=FiniteRange(1e-7, 1.0), help="Peak learning rate; the preset's by default.")
 @click.option(
+    "--cycles",
+    type=click.IntRange(1, 100),
+    help="Times that the learning rate falls from its peak; 1 by default. Later cycles are in the last stage.",
+)
+@click.option(
     "--optimizer",
     "method",
     type=click.Choice(["muon", "adamw"]),

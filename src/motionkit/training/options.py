@@ -29,6 +29,7 @@ class OptimizerOptions:
     weight_decay: float = 0.01
     betas: tuple[float, float] = (0.9, 0.98)
     schedule: str = "cosine"  # or "halving": the rate halves at every quarter of the run, as in the paper
+    cycles: int = 1  # times that the rate falls from its peak (warm restarts, Loshchilov and Hutter 2017)
     clip_norm: float = 1.0  # largest norm of the gradient
     ema: float = 0.998  # decay per step of the running average that becomes the model
     precision: str = "auto"  # arithmetic of the network: "auto", "float32" or "bfloat16"
@@ -47,7 +48,7 @@ class OutputOptions:
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of a run: the share of it, 0 to 1, at which it begins, and changes of options by name."""
+    """A part of a run: the share of the first cycle, 0 to 1, at which it begins, and changes of options by name."""
 
     begins: float
     changes: dict[str, Any]
@@ -75,10 +76,13 @@ class TrainOptions:
     stages: tuple[Stage, ...] = ()  # in order; a stage keeps the changes of earlier ones
 
     def at(self, progress: float) -> TrainOptions:
-        """Return the settings at a share of the run. A run that starts from a model is always in its last stage."""
+        """Return the settings at a share of the run.
+
+        Later cycles are in the last stage, and so is all of a run that starts from a model.
+        """
         changes: dict[str, Any] = {}
         for stage in self.stages:
-            if self.init is not None or stage.begins <= progress:
+            if self.init is not None or stage.begins <= self.optimizer.cycles * progress:
                 changes |= stage.changes
         return with_changes(self, changes)
 

@@ -31,15 +31,16 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """The learning rate of this step: linear warm-up, then a cosine down to final_rate times the peak.
+        """The learning rate of a step: linear warm-up, then in each cycle a cosine down to final_rate times the peak.
 
-        The schedule "halving" halves the rate at every quarter of the run, as the paper does every 500 of 2000 epochs.
+        The schedule "halving" halves the rate at every quarter of a cycle, as the paper does every 500 of 2000 epochs.
         """
         options = self.options.optimizer
         warm = min(1.0, (self.step + 1) / max(1, options.warmup))
+        share = options.cycles * self.share % 1.0 if self.share < 1.0 else 1.0
         if options.schedule == "halving":
-            return options.rate * warm * 0.5 ** min(3, math.floor(4.0 * self.share))
-        cosine = 0.5 * (1.0 + math.cos(math.pi * self.share))
+            return options.rate * warm * 0.5 ** min(3, math.floor(4.0 * share))
+        cosine = 0.5 * (1.0 + math.cos(math.pi * share))
         return options.rate * warm * (options.final_rate + (1.0 - options.final_rate) * cosine)
 
 

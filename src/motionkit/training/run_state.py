@@ -33,7 +33,7 @@ MOST_STEPS = 10**12  # also the most seconds
 MOST_BLOCK = 1000  # most steps of a block
 # Options that a resumed run may change: its length and its outputs.
 # "sampler.splices" stays that of the beginning, as the number depends on the minutes.
-FREE_ON_RESUME = ("steps", "minutes", "output.", "sampler.splices")
+FREE_ON_RESUME = ("steps", "minutes", "optimizer.cycles", "output.", "sampler.splices")
 # Options that a resumed run takes from its checkpoint: the most, and whether a number is whole and must be there.
 TAKEN = {
     "seed": (LARGEST_SEED, True, True),

@@ -88,10 +88,14 @@ class WindowBlocks:
         self._coming = self._make(range(start.step, self._end(start.step)))
 
     def _end(self, step: int) -> int:
-        """Return the step after the last one of a step's block."""
+        """Return the step after the last one of a step's block, which ends with its cycle of the rate."""
         period = self.options.scheduled_sampling.period if self.options.scheduled_sampling.share else 1
         end = (step // period + 1) * period
-        return min(end, self.run.steps) if self.run.steps else end
+        steps, cycles = self.run.steps, self.run.optimizer.cycles
+        if not steps:
+            return end
+        cycle = step * cycles // steps + 1
+        return min(end, -(-cycle * steps // cycles))
 
     def _make(self, steps: range) -> list[Batch]:
         """Make the batches of some steps, with scheduled sampling in some windows."""
