@@ -208,18 +208,20 @@ def test_a_clip_that_does_not_move_is_refused() -> None:
         make_loop(still)
 
 
-def under_a_still_root(motion: Motion) -> Motion:
-    """The motion below another joint, which stays at the origin: the hips carry the way, as in some rigs."""
+def under_a_still_root(motion: Motion, group: bool = False, target: bool = False) -> Motion:
+    """The motion below another joint, which stays at the origin: the hips carry the way, as in some rigs.
+
+    There may be a group between both, and a joint below the root that stays where it is, such as a target of the feet.
+    """
+    if group:
+        motion = under_a_still_root(motion)
     skeleton = motion.skeleton
-    frames, joints = len(motion), len(skeleton)
-    places = np.broadcast_to(
-        np.concatenate([np.zeros((1, 3)), skeleton.offsets]), (frames, joints + 1, 3)
-    ).copy()
-    places[:, 1] = motion.root_positions
+    frames = len(motion)
+    places = np.pad(motion.translations(), ((0, 0), (1, 0), (0, 0)))
     still = np.broadcast_to(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (frames, 1, 4))
-    return Motion(
+    made = Motion(
         Skeleton(
-            ("joint_Root", *skeleton.names),
+            ("Group" if "joint_Root" in skeleton.names else "joint_Root", *skeleton.names),
             (-1, *(parent + 1 for parent in skeleton.parents)),
             np.concatenate([np.zeros((2, 3), np.float32), skeleton.offsets[1:]]),
             {joint + 1: end for joint, end in skeleton.end_sites.items()},
@@ -229,14 +231,32 @@ def under_a_still_root(motion: Motion) -> Motion:
         motion.fps,
         places.astype(np.float32),
     )
+    if not target:
+        return made
+    more = Skeleton(
+        (*made.skeleton.names, "ik_foot_root"),
+        (*made.skeleton.parents, 0),
+        np.concatenate([made.skeleton.offsets, np.zeros((1, 3), np.float32)]),
+        made.skeleton.end_sites,
+    )
+    assert made.local_positions is not None
+    return replace(
+        made,
+        skeleton=more,
+        local_rotations=np.concatenate([made.local_rotations, still], axis=1),
+        local_positions=np.pad(made.local_positions, ((0, 0), (0, 1), (0, 0))),
+    )
 
 
-def test_a_rig_whose_root_stands_still_goes_on() -> None:
+@pytest.mark.parametrize(("group", "target"), [(False, False), (True, False), (False, True)])
+def test_a_rig_whose_root_stands_still_goes_on(group: bool, target: bool) -> None:
     walk = make_walk(300, turn=0.0)
-    made, wanted = make_loop(under_a_still_root(walk)), make_loop(walk)
+    made, wanted = make_loop(under_a_still_root(walk, group, target)), make_loop(walk)
     assert made.end - made.start == wanted.end - wanted.start
     # The strides of this walk are alike, so either may be taken; the hips go on as far.
-    hips, others = (motion_kinematics(loop.motion)[1][:, -23] for loop in (made, wanted))
+    names = made.motion.skeleton.names
+    hips = motion_kinematics(made.motion)[1][:, names.index("Hips")]
+    others = motion_kinematics(wanted.motion)[1][:, 0]
     assert np.linalg.norm(hips[-1] - hips[0]) == pytest.approx(
         np.linalg.norm(others[-1] - others[0]), rel=0.01
     )

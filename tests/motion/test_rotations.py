@@ -151,6 +151,18 @@ def test_euler_at_the_pole(order: str) -> None:
         assert same_rotation(rot.euler_to_quat(back, order), quat) < 1e-6
 
 
+@pytest.mark.parametrize("order", EULER_ORDERS)
+def test_euler_near_the_pole(order: str) -> None:
+    """Errors of the first and the last angle make up for each other, in float32 too."""
+    generator = np.random.default_rng(0)
+    for away in (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
+        angles = generator.uniform(-math.pi, math.pi, (500, 3))
+        angles[:, 1] = generator.choice([-1.0, 1.0], 500) * (0.5 * math.pi - away)
+        quats = rot.euler_to_quat(angles, order).astype(np.float32)
+        back = rot.euler_to_quat(rot.quat_to_euler(quats, order).astype(np.float64), order)
+        assert same_rotation(back, rot.quat_normalize(quats.astype(np.float64))).max() < 1e-5, away
+
+
 def test_euler_of_one_and_two_channels() -> None:
     angle = np.array([[0.4], [-2.0]], np.float64)
     expected = rot.expmap_to_quat(np.concatenate([angle, np.zeros((2, 2), np.float64)], -1))

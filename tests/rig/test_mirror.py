@@ -230,6 +230,17 @@ def test_a_rig_with_axes_along_its_bones() -> None:
     assert float(quat_angle(mirrored.local_rotations, motion.local_rotations)[:, 2:].max()) < 1.5
 
 
+def test_hips_that_travel_below_the_root_change_nothing_for_other_joints() -> None:
+    """As after `--root ground`: only the hips have position channels, all others stay at their offsets."""
+    motion = bone_aligned_rig()
+    places = np.tile(motion.skeleton.offsets, (len(motion), 1, 1))
+    places[:, 1] += np.random.default_rng(0).normal(0.0, 5.0, (len(motion), 3))
+    moved = replace(motion, local_positions=places)
+    assert mirror_plan(moved) == mirror_plan(motion)
+    bvh = motion_to_bvh(moved, (ROOT_CHANNELS, ROOT_CHANNELS) + (rotations("ZXY"),) * 9)
+    assert_mirror_image(moved, bvh_to_motion(mirror_bvh(bvh)), tolerance=0.01)
+
+
 def test_sides_of_different_length_keep_the_hierarchy() -> None:
     skeleton = world_aligned_rig()
     longer = replace(skeleton, offsets=skeleton.offsets * np.where(np.arange(10)[:, None] == 7, 1.1, 1.0))

@@ -285,6 +285,27 @@ def test_six_channel_joints_take_their_place_from_the_channels() -> None:
     assert float(np.abs(motion_kinematics(source)[1] - motion_kinematics(result)[1]).max()) < 0.01
 
 
+@pytest.mark.parametrize("length", [0.2, 8.0])
+def test_feet_that_end_in_their_soles_stand_flat(length: float) -> None:
+    """A foot without toes may have its End Site straight below, which does not show where it points."""
+    source = walk(30)
+    kept = [j for j, name in enumerate(JOINT_NAMES) if not name.endswith("ToeBase")]
+    ends = {j: end for j, end in source.skeleton.end_sites.items() if j in kept}
+    parents = tuple(kept.index(PARENTS[j]) if j else -1 for j in kept)
+    results = []
+    for below in (0.0, length):
+        soles = {JOINT_NAMES.index(f"{side}Foot"): (0.0, -below, 0.0) for side in ("Left", "Right")}
+        skeleton = Skeleton(
+            tuple(JOINT_NAMES[j] for j in kept),
+            parents,
+            source.skeleton.offsets[kept],
+            {kept.index(j): end for j, end in (ends | soles).items()},
+        )
+        rig = Motion(skeleton, source.local_rotations[:, kept], source.root_positions, source.fps)
+        results.append(retarget(motion_to_bvh(rig))[0].local_rotations)
+    assert float(quat_angle(*results).max()) < 1e-3
+
+
 def test_twist_joints_along_a_limb_count() -> None:
     """The roll of a forearm on a separate twist joint still reaches the hand's parent."""
     source = walk()

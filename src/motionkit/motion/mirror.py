@@ -70,6 +70,10 @@ def mirrored(motion: Motion, plan: MirrorPlan) -> Motion:
         signs = np.array([plan.outer(skeleton, j) for j in range(len(opposites))], places.dtype)
         places = places[:, list(opposites)] * signs
         places = places if outer is None else quat_rotate(outer, places).astype(places.dtype)
+        # A joint that stays at its offset has no channels for another place.
+        moving = set(motion.moving_joints())
+        still = [j for j, opposite in enumerate(opposites) if not {j, opposite} & moving]
+        places[:, still] = skeleton.offsets[still]
     return replace(
         motion,
         local_rotations=np.stack(rotations, axis=1),

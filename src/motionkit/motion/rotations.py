@@ -203,20 +203,24 @@ def euler_to_quat(euler: Array, order: str) -> Array:
 def quat_to_euler(quat: Array, order: str) -> Array:
     """Intrinsic Euler angles (..., 3) in radians of rotations (..., 4), for an order of three distinct axes.
 
-    The middle angle is in [-pi/2, pi/2]. At the pole the last angle is zero.
+    The middle angle is in [-pi/2, pi/2]. Near the pole, where the first and the last one turn about one axis, the last
+    one makes up for errors of the first; at the pole it is zero.
     """
     i, j, k = ("XYZ".index(axis) for axis in order)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
-    matrix = quat_to_matrix(quat)
+    matrix = quat_to_matrix(quat_normalize(quat))
     sine = np.clip(sign * matrix[..., i, k], -1.0, 1.0)
     cosine = np.sqrt(matrix[..., i, i] ** 2 + matrix[..., i, j] ** 2)
     middle = np.arctan2(sine, cosine)
-    pole = cosine < 1e-6
     first = np.arctan2(-sign * matrix[..., j, k], matrix[..., k, k])
-    last = np.arctan2(-sign * matrix[..., i, j], matrix[..., i, i])
-    first_at_pole = np.arctan2(sign * matrix[..., k, j], matrix[..., j, j])
-    first = np.where(pole, first_at_pole, first)
-    last = np.where(pole, np.zeros_like(last), last)
+    at_pole = np.arctan2(sign * matrix[..., k, j], matrix[..., j, j])
+    first = np.where(cosine < 1e-6, at_pole, first)
+    # Of the rotation that is left when the first angle is undone.
+    along, aside = np.cos(first), sign * np.sin(first)
+    last = np.arctan2(
+        sign * (along * matrix[..., j, i] + aside * matrix[..., k, i]),
+        along * matrix[..., j, j] + aside * matrix[..., k, j],
+    )
     return np.stack([first, middle, last], axis=-1)
 
 

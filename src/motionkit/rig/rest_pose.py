@@ -62,7 +62,7 @@ _FACE_WORDS = re.compile(
     r"eye|jaw|ear|hair|tail|braid|bang|brow|lash|lid|lip|mouth|tongue|teeth|tooth|nose|cheek|chin|face",
     re.IGNORECASE,
 )
-_STEEP = 0.9  # sine of the pitch above which a toe joint lies under its ankle
+_STEEP = 0.9  # sine of the pitch above which a toe joint, or the end of a foot, lies under its ankle
 _ASIDE = 0.7  # cosine of the angle to the left-right axis above which the end of a head does not show its top
 _LEFT = np.array([1.0, 0.0, 0.0], np.float32)
 _ALONG_NECK = 45.0  # degrees; largest angle between the neck and a head child that continues it
@@ -230,7 +230,7 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
         bone = source.bone(name)
         if part == "ToeBase":
             out[joint] = out[PARENTS[joint]]
-        elif part == "Foot" and bone is not None:
+        elif part == "Foot" and bone is not None and not _shows_no_toes(source, frame, name, bone[1]):
             toe = source.bone(name.replace("Foot", "ToeBase"))
             chosen = toe if toe is not None and _under(frame, bone[1], toe[1]) else bone
             out[joint] = _foot_difference(source, frame, name, *chosen)
@@ -246,6 +246,12 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
         ):
             out[joint] = _turned(frame, bone, _TOLERANCE.get(part, _TOLERANCE_ELSEWHERE))
     return out
+
+
+def _shows_no_toes(source: SourceRig, frame: Array, name: str, bone: Array) -> bool:
+    """Whether the bone (3,) of a foot without toes leads straight down, to the sole under its ankle."""
+    down = quat_rotate(quat_inverse(frame), normalized(bone))
+    return source.place(name.replace("Foot", "ToeBase")) is None and bool(down[1] < -_STEEP)
 
 
 def _under(frame: Array, foot: Array, toe: Array) -> bool:

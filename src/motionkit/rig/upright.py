@@ -190,22 +190,41 @@ def _lift(motion: Motion) -> float:
 
 
 def _carried_by_root(motion: Motion) -> Motion:
-    """Move the translation of the joint below a still root into the root; all joints stay where they are.
+    """Move the translation of hips below a still root into the root; all joints but those in between stay in place.
 
-    In some rigs the root stays at the origin and the hips travel.
+    In some rigs the root stays at the origin and the hips travel, beside other joints such as targets of the feet.
     """
-    below = motion.skeleton.children(0)
-    if motion.local_positions is None or len(below) != 1 or _range(motion.root_positions) > STILL_ROOT:
+    places = motion.local_positions
+    if places is None or _range(motion.root_positions) > STILL_ROOT:
         return motion
-    offset = motion.skeleton.offsets[below[0]]
-    moved = motion.local_positions[:, below[0]] - offset
-    if _range(moved) < MOVING_HIPS:
+    skeleton, chain = motion.skeleton, [0]
+    while below := skeleton.children(chain[-1]):
+        joint = max(below, key=lambda each: sum(skeleton.descends(j, each) for j in range(len(skeleton))))
+        moved = places[:, joint] - skeleton.offsets[joint]
+        if _range(quat_rotate(_turned_by(motion, chain), moved)) >= MOVING_HIPS:
+            break
+        chain.append(joint)
+    else:
         return motion
-    places = motion.local_positions.copy()
-    places[:, below[0]] = offset
-    roots = motion.root_positions + quat_rotate(motion.local_rotations[:, 0], moved)
+    places = places.copy()
+    places[:, joint] = skeleton.offsets[joint]
+    beside = joint
+    for above in reversed(chain):
+        for other in skeleton.children(above):
+            if other != beside:
+                places[:, other] -= moved
+        moved, beside = quat_rotate(motion.local_rotations[:, above], moved), above
+    roots = motion.root_positions + moved
     places[:, 0] = roots
     return replace(motion, root_positions=roots, local_positions=places)
+
+
+def _turned_by(motion: Motion, chain: list[int]) -> Array:
+    """The global rotations (T, 4) of the last joint of a chain from the root."""
+    turns = motion.local_rotations[:, 0]
+    for joint in chain[1:]:
+        turns = quat_multiply(turns, motion.local_rotations[:, joint])
+    return turns
 
 
 def _range(places: Array) -> float:
