@@ -1,9 +1,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import pytest
+
+from motionkit.errors import MotionkitError
+from motionkit.files import atomic_write
 
 
 @pytest.fixture
@@ -26,6 +32,36 @@ def test_accuracy_as_json_and_as_reports(evaluate, tmp_path: Path) -> None:
 def test_one_heading_for_the_targets(evaluate) -> None:
     said = evaluate("--only", "accuracy", "--seeds", 1)
     assert said.code == 0 and said.out.count("Targets") == 1
+
+
+def test_a_report_that_cannot_be_written_loses_nothing_else(
+    evaluate, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The disk is full at the first report, after minutes of measuring: the board is printed, the second written."""
+
+    @contextmanager
+    def full(path: Path) -> Iterator[IO]:
+        if path.name == "full.md":
+            raise MotionkitError(f"{path}: cannot be written (no space left)")
+        with atomic_write(path) as out:
+            yield out
+
+    monkeypatch.setattr("motionkit.files.atomic_write", full)
+    said = evaluate("--only", "accuracy", "--seeds", 1, "-o", "full.md", "-o", "out.json")
+    assert said.code == 1 and said.err == "error: full.md: cannot be written (no space left)\n"
+    assert "Targets" in said.out and not (tmp_path / "full.md").exists()
+    assert json.loads((tmp_path / "out.json").read_text("utf-8"))["seeds"] == 1
+
+
+def test_reports_are_written_if_the_board_cannot_be_printed(
+    evaluate, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def closed(*_: object) -> None:
+        raise MotionkitError("closed")
+
+    monkeypatch.setattr("motionkit.cli.evaluate._print", closed)
+    said = evaluate("--only", "accuracy", "--seeds", 1, "-o", "out.json")
+    assert said.failed_with("closed") and (tmp_path / "out.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,23 @@ def test_what_cannot_be_read_or_written_is_said_first(motionkit: Run, paper_fold
     assert motionkit("experiment", "list").code == 0, "the default folder need not be there"
 
 
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--bundled", "--model", "m.safetensors"], "--model and --bundled both name the model"),
+        (["--type", "running"], "--type is for a model; give --model or --bundled"),
+    ],
+)
+def test_options_of_in_between_that_would_do_nothing_are_refused(
+    motionkit: Run, words: list[str], complaint: str
+) -> None:
+    Path("lafan1").mkdir()
+    Path("m.safetensors").write_text("")
+    said = motionkit("experiment", "in-between", "lafan1", *words)
+    assert said.code == 2 and complaint in said.err and not said.out
+    assert motionkit("experiment", "in-between", "lafan1").code == 1, "no options are needed"
+
+
 def test_tables_and_figures_name_a_broken_result(motionkit: Run, paper_folder: Path) -> None:
     floors(motionkit, paper_folder)
     (file,) = Path("results").rglob("*.json")

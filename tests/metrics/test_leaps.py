@@ -71,6 +71,7 @@ def test_the_fastest_turn_names_joint_and_frame() -> None:
     rotations[60:, 2] = quat_multiply(rotations[60:, 2], turn)
     value = fastest_turn(rotations)
     assert value.parameters == {"joint": "LeftLeg", "frame": 60.0}
+    assert fastest_turn(rotations[20:], start=20).parameters == value.parameters
     assert value.value == pytest.approx(math.degrees(1.0) * 60.0, rel=0.05)
 
 

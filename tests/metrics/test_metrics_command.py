@@ -80,6 +80,15 @@ def test_the_unit_of_a_file_of_the_23_joints_is_detected(tmp_path: Path, factor:
         assert rows["other"][name] == pytest.approx(rows["cm"][name], rel=1e-2, abs=1e-2)
 
 
+def test_notes_on_two_files_of_one_name_can_be_told_apart(tmp_path: Path) -> None:
+    for number, folder in enumerate(("truth", "made")):
+        write_bvh(tmp_path / folder / "x.bvh", swaying(frames=30), 0.01 + 0.09 * number)
+    out = (
+        CliRunner().invoke(command, [str(tmp_path / folder / "x.bvh") for folder in ("truth", "made")]).output
+    )
+    assert "note: ground truth: 1 unit = 100 cm" in out and "note: generated motion: 1 unit = 10 cm" in out
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 
 from motionkit.cli.main import main
 from motionkit.export.formats import write_motion
-from motionkit.metrics.pairs import PairResult, mean_rows
+from motionkit.metrics.pairs import PairResult, mean_rows, names_of_pairs
 from motionkit.metrics.report import MetricReport, MetricRow
 from motionkit.metrics.value import MetricValue
 from motionkit.motion.bvh import write_bvh
@@ -133,10 +134,88 @@ def test_both_means_are_of_the_same_pairs_and_extremes_of_all() -> None:
 def test_jerk_at_different_rates_has_no_mean() -> None:
     reports = [
         MetricReport((MetricRow(MetricValue("jerk", value, "m/s^3", {"fps": rate})),), 10)
-        for value, rate in ((215.0, 30.0), (894.0, 60.0))
+        for value, rate in ((894.0, 60.0), (215.0, 30.0), (180.0, 24.0))
     ]
     (jerk,) = mean_rows([PairResult(Path("a"), None, report) for report in reports])
-    assert jerk.value is None and (jerk.lowest, jerk.highest, jerk.count) == (215.0, 894.0, 2)
+    assert (jerk.value, jerk.lowest, jerk.highest, jerk.count) == (None, None, None, 3)
+    assert jerk.as_dict()["reason"] == "values at 24, 30 and 60 fps do not compare"
+    (same,) = mean_rows([PairResult(Path("a"), None, report) for report in reports[:1]])
+    assert (same.value, same.lowest) == (894.0, 894.0) and "reason" not in same.as_dict()
+
+
+def test_a_missing_mean_has_the_reason_of_the_pairs() -> None:
+    def reason(*sides: tuple[str, str]) -> str | None:
+        """The reason of the mean of pairs that miss a value for a reason of either side; "" is a value."""
+
+        def value(why: str) -> MetricValue:
+            return MetricValue("leaps", None if why else 1.0, "1/min", reason=why or None)
+
+        rows = [MetricRow(value(mine), value(theirs)) for mine, theirs in sides]
+        (mean,) = mean_rows([PairResult(Path("a"), Path("b"), MetricReport((row,), 9)) for row in rows])
+        return mean.reason
+
+    assert reason(("too short", "too short"), ("", "too short")) == "too short"
+    assert reason(("too short", ""), ("", "too slow")) == "no pair has a value on both sides"
+    assert reason(("", ""), ("too short", "")) is None
+    alone = [MetricRow(MetricValue("jerk", None, "m/s^3", reason=why)) for why in ("2 frames", "3 frames")]
+    (mean,) = mean_rows([PairResult(Path("a"), None, MetricReport((row,), 2)) for row in alone])
+    assert mean.reason == "no file has a value"
+
+
+def test_every_missing_value_of_the_tables_has_a_reason(metrics, folders: Path) -> None:
+    write_bvh(folders / "mixed" / "fast.bvh", swaying(frames=40))
+    write_bvh(folders / "mixed" / "slow.bvh", swaying(frames=20, fps=30.0))
+    _, out, _ = metrics("mixed")
+    assert "note: slow.bvh: leaps: leaps are single frames at 60 fps" in out
+    assert (
+        "note: jerk, jerk-peak, jerk-area: no mean, because values at 30 and 60 fps do not compare\n" in out
+    )
+    (jerk,) = [line.split() for line in out.splitlines() if line.startswith("jerk ")]
+    assert jerk == ["jerk", "-", "-", "-", "m/s^3"]
+    mean = json.loads(metrics("mixed", "--json")[1])["mean"]["jerk"]
+    assert mean["lowest"] is None and mean["reason"] == "values at 30 and 60 fps do not compare"
+    write_bvh(folders / "short" / "a.bvh", swaying(frames=5))
+    _, out, _ = metrics("short", "short")
+    assert "note: a.bvh: ssim-window: SSIM needs at least 12 frames, found 5\n" in out
+    assert "note: diversity: diversity needs at least 2 windows, found 1\n" in out
+    assert "note: fid-pose: " in out
+
+
+def test_reasons_leave_room_for_the_notes(metrics, folders: Path) -> None:
+    for number in range(12):
+        write_bvh(folders / "short" / f"{number}.bvh", swaying(frames=3 + number % 2, fps=59.0 + number))
+    _, out, _ = metrics("short")
+    assert "note: 9.bvh: motion: 68 fps, resampled to 60\n" in out
+    assert "SSIM" not in out and "files, such as 0.bvh: flight-acceleration: no flight\n" in out
+
+
+def test_files_of_one_name_are_told_apart_by_their_folders(metrics, folders: Path) -> None:
+    for number, place in enumerate(("truth/a", "truth/b", "made/a", "made/b")):
+        write_bvh(folders / place / "x.bvh", swaying(frames=40 + 10 * number, seed=number), 0.01)
+    _, out, _ = metrics("truth", "made")
+    files = {line.split()[0] for line in out.splitlines()[1:5]}
+    assert files == {"a.BVH", f"a{os.sep}x.bvh", f"b{os.sep}x.bvh", "b.bvh"}
+    noted = [line for line in out.splitlines() if line.startswith(f"note: b{os.sep}x.bvh: ")]
+    assert (
+        f"note: b{os.sep}x.bvh: ground truth has 50 frames, generated 70; compared over the first 50" in noted
+    )
+    # Both files of the pair have the same name, too.
+    assert sum("ground truth: 1 unit = 100 cm" in line for line in noted) == 1
+    assert sum("generated motion: 1 unit = 100 cm" in line for line in noted) == 1
+
+
+def test_names_of_pairs() -> None:
+    def names(*pairs: tuple[str, str | None], folder: str | None = None) -> list[str]:
+        results = [PairResult(Path(a), None if b is None else Path(b)) for a, b in pairs]
+        return names_of_pairs(results, None if folder is None else Path(folder))
+
+    deep = str(Path("a", "x.bvh")), str(Path("b", "x.bvh"))
+    assert names(("d/a/x.bvh", None), ("d/b/x.bvh", None), ("d/b/y.bvh", None), folder="d") == [
+        *deep,
+        "y.bvh",
+    ]
+    assert names(("t.bvh", "a/x.bvh"), ("t.bvh", "b/x.bvh")) == [*deep]
+    assert names(("t.bvh", "x.bvh"), ("u.bvh", "x.bvh")) == ["x.bvh against t.bvh", "x.bvh against u.bvh"]
 
 
 def test_a_file_of_one_frame_is_named(metrics, folders: Path) -> None:

@@ -9,6 +9,7 @@ from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.metrics.report import PAIR_METRICS, MetricReport, evaluate_motion, placed_like
 from motionkit.metrics.value import MetricSettings
 from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_from_yaw
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 from .conftest import placed, swaying
@@ -139,6 +140,28 @@ def test_skipped_frames_do_not_count(motion: Motion) -> None:
     assert report.value("jerk") == pytest.approx(values(evaluate_motion(motion.cut(20, 120)))["jerk"])
 
 
+def test_frames_are_those_of_the_file_whatever_is_left_out(motion: Motion) -> None:
+    """A turn into frame 100 of the ground truth, which is frame 70 of a motion that goes on after 30 frames."""
+    truth = replace(motion, local_rotations=motion.local_rotations.copy())
+    truth.local_rotations[100:, 2] = quat_from_yaw(np.array(2.0))
+    made = truth.cut(30, 120)
+    whole = {row.id: row.motion for row in evaluate_motion(truth).rows}["turn-max"]
+    skipped = {row.id: row.motion for row in evaluate_motion(truth, skip=20).rows}["turn-max"]
+    assert whole.parameters == skipped.parameters == {"joint": "LeftLeg", "frame": 100.0}
+    row = {row.id: row for row in evaluate_motion(made, truth, skip=10, given=30).rows}["turn-max"]
+    assert row.ground_truth is not None
+    assert (row.motion.parameters["frame"], row.ground_truth.parameters["frame"]) == (70.0, 100.0)
+
+
+def test_the_frame_of_a_flight_is_that_of_the_file(motion: Motion) -> None:
+    places = motion.root_positions.copy()
+    places[60:90, 1] += 60.0
+    flying = replace(motion, root_positions=places)
+    for skip in (0, 40):
+        row = {row.id: row for row in evaluate_motion(flying, skip=skip).rows}["flight-acceleration"]
+        assert row.motion.parameters["frame"] == 60.0
+
+
 def test_a_given_floor_is_used(motion: Motion) -> None:
     report = evaluate_motion(motion, settings=MetricSettings(floor=200.0))
     assert report.value("floor-height") == 200.0
@@ -220,5 +243,5 @@ def test_refusals(motion: Motion) -> None:
 
 @pytest.mark.parametrize("frames", [{"skip": -3}, {"given": -1}])
 def test_frames_to_leave_out_are_not_negative(motion: Motion, frames: dict[str, int]) -> None:
-    with pytest.raises(MotionkitError, match=r"expected frames to skip and given frames of at least 0"):
+    with pytest.raises(MotionkitError, match=r"expected 0 or more frames to skip and given frames"):
         evaluate_motion(motion, motion, **frames)

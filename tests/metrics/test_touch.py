@@ -58,6 +58,7 @@ def test_the_acceleration_of_a_flight_is_found(acceleration: float) -> None:
     value = flight_acceleration(positions)
     assert value.value == pytest.approx(acceleration, abs=0.01)
     assert value.parameters["flights"] == 1.0 and value.parameters["frame"] == 45.0
+    assert flight_acceleration(positions[20:], start=20).parameters == value.parameters
 
 
 def test_the_worst_flight_counts_and_short_ones_do_not() -> None:

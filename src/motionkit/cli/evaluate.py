@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -129,7 +130,7 @@ def command(model: str, dataset: Path, options: EvaluateOptions) -> None:
         if file.suffix.lower() not in (".md", ".json"):
             raise click.UsageError(f"{file}: expected a report named .md or .json")
 
-    from motionkit.files import atomic_write, check_outputs, plain
+    from motionkit.files import check_outputs
     from motionkit.lab.scoreboard.board import evaluate
     from motionkit.models.bundled import open_model
 
@@ -147,16 +148,33 @@ def command(model: str, dataset: Path, options: EvaluateOptions) -> None:
             progress=lambda name, share: show(name, 100 * share, 100),
         )
     board.about.update({"model": model, "dataset": str(dataset)})
-    for file in options.output:
-        with atomic_write(file) as out:
-            if file.suffix.lower() == ".md":
-                out.write(board.markdown())
-            else:
-                json.dump(plain(board.as_dict()), out, indent=2)
-    if options.as_json:
-        print_json(board.as_dict())
-    else:
-        _print(board, stdout_console())
+    # The run takes long: neither a report that cannot be written nor a closed pipe may lose it.
+    try:
+        if options.as_json:
+            print_json(board.as_dict())
+        else:
+            _print(board, stdout_console())
+    finally:
+        _write_reports(board, options.output)
+
+
+def _write_reports(board: Scoreboard, files: Sequence[Path]) -> None:
+    """Write every report that can be written; raises the first MotionkitError at the end."""
+    from motionkit.errors import MotionkitError
+    from motionkit.files import atomic_write, plain
+
+    faults = []
+    for file in files:
+        try:
+            with atomic_write(file) as out:
+                if file.suffix.lower() == ".md":
+                    out.write(board.markdown())
+                else:
+                    json.dump(plain(board.as_dict()), out, indent=2)
+        except MotionkitError as error:
+            faults.append(error)
+    if faults:
+        raise faults[0]
 
 
 def _print(board: Scoreboard, console: PlainConsole) -> None:

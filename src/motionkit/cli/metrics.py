@@ -192,7 +192,7 @@ def command(
         with Stages() as show:
             results = _measured(pairs, measuring, jobs, show)
             sets = measuring.of_sets(results, show)
-        _tell_many(results, sets, lonely, as_json, as_csv)
+        _tell_many(results, sets, lonely, generated or ground_truth, as_json, as_csv)
         return
     from motionkit.metrics.pairs import PairResult, csv_text
 
@@ -229,11 +229,15 @@ def _tell_many(
     results: Sequence[PairResult],
     sets: Sequence[MetricRow],
     lonely: Sequence[Path],
+    folder: Path | None,
     as_json: bool,
     as_csv: bool,
 ) -> None:
-    """Print all pairs and the set metrics; raises MotionkitError at the end if any pair failed."""
-    from motionkit.metrics.pairs import csv_text, pairs_as_dict
+    """Print all pairs and the set metrics; raises MotionkitError at the end if any pair failed.
+
+    folder is that of the measured files, if they are in one.
+    """
+    from motionkit.metrics.pairs import csv_text, names_of_pairs, pairs_as_dict
 
     if as_json:
         print_json(pairs_as_dict(results, sets) | {"without_partner": lonely})
@@ -241,15 +245,10 @@ def _tell_many(
         click.echo(csv_text(results, sets), nl=False)
     else:
         measured = [result for result in results if result.report]
-        for line in _tables(measured, sets):
+        names = names_of_pairs(measured, folder)
+        for line in _tables(measured, names, sets):
             stdout_console().print(line)
-        notes = [
-            (r.name, f"{r.name}: {note.removeprefix(f'{r.name}: ')}")
-            for r in measured
-            if r.report
-            for note in r.report.notes
-        ]
-        for line in lines_of_files(notes):
+        for line in _remarks(measured, names, sets):
             stdout_console().print(f"note: {line}")
     failed = [result for result in results if result.report is None]
     faults = [(str(result.ground_truth), result.error) for result in failed]
@@ -262,17 +261,50 @@ def _tell_many(
         )
 
 
-def _tables(measured: Sequence[PairResult], sets: Sequence[MetricRow]) -> Iterator[str | Table]:
-    """Selected metrics of every pair, then means of all metrics, then the set metrics."""
+def _remarks(
+    measured: Sequence[PairResult], names: Sequence[str], sets: Sequence[MetricRow]
+) -> Iterator[str]:
+    """The notes on every pair, then the reason of every value that is missing in the tables."""
+    from motionkit.metrics.pairs import mean_rows
+
+    reports = [(r.name, name, r.report) for r, name in zip(measured, names, strict=True) if r.report]
+    notes = [
+        (name, f"{name}: {note.removeprefix(f'{file}: ')}")
+        for file, name, report in reports
+        for note in report.notes
+    ]
+    reasons = [(name, f"{name}: {reason}") for _, name, report in reports for reason in report.reasons()]
+    # Two lists, because each has few lines: reasons among the notes would leave no room for these.
+    yield from lines_of_files(notes)
+    yield from lines_of_files(reasons)
+    said = {reason for *_, report in reports for reason in report.reasons()}
+    missing: dict[str, list[str]] = {}
+    for row in mean_rows(measured):
+        if row.reason and f"{row.id}: {row.reason}" not in said:
+            missing.setdefault(f"no mean, because {row.reason}", []).append(row.id)
+    for one in sets:
+        for reason in one.reasons():
+            missing.setdefault(reason, []).append(one.id)
+    yield from (f"{', '.join(ids)}: {reason}" for reason, ids in missing.items())
+
+
+def _tables(
+    measured: Sequence[PairResult], names: Sequence[str], sets: Sequence[MetricRow]
+) -> Iterator[str | Table]:
+    """Selected metrics of every pair, by its name, then means of all metrics, then the set metrics."""
     from motionkit.cli.console import make_table
     from motionkit.metrics.pairs import mean_rows
 
     if not measured:
         return
     paired = measured[0].generated is not None
-    names = _OF_EACH[paired]
-    values = [(r.name, [r.report.value(name) for name in names]) for r in measured if r.report]
-    yield make_table(("file", *names), [(name, *map(_number, row)) for name, row in values[:LISTED_FILES]])
+    ids = _OF_EACH[paired]
+    values = [
+        (name, [r.report.value(id_) for id_ in ids])
+        for name, r in zip(names, measured, strict=True)
+        if r.report
+    ]
+    yield make_table(("file", *ids), [(name, *map(_number, row)) for name, row in values[:LISTED_FILES]])
     if len(values) > LISTED_FILES:
         yield f"... and {len(values) - LISTED_FILES} more files; --json and --csv list all"
     yield ""

@@ -50,8 +50,10 @@ def leaps(positions: Array, recorded_fps: float = FRAME_RATE) -> MetricValue:
     return MetricValue("leaps", count * 60.0 * FRAME_RATE / len(positions), "1/min", {"leap_cm": LEAP})
 
 
-def fastest_turn(local_rotations: Array, fps: float = FRAME_RATE) -> MetricValue:
+def fastest_turn(local_rotations: Array, fps: float = FRAME_RATE, start: int = 0) -> MetricValue:
     """Largest angular speed in degrees per second of any joint between two frames of rotations (T, 23, 4).
+
+    Its parameters name the joint and the second of the two frames; start is the number of the first frame.
 
     Raises:
         MotionkitError: there are fewer than two frames.
@@ -59,5 +61,5 @@ def fastest_turn(local_rotations: Array, fps: float = FRAME_RATE) -> MetricValue
     need(len(local_rotations), 2, "angular speed needs")
     speeds = geodesic_movement(local_rotations) * fps
     frame, joint = np.unravel_index(int(speeds.argmax()), speeds.shape)
-    parameters: dict[str, float | str] = {"joint": JOINT_NAMES[int(joint)], "frame": float(frame + 1)}
+    parameters: dict[str, float | str] = {"joint": JOINT_NAMES[int(joint)], "frame": float(start + frame + 1)}
     return MetricValue("turn-max", float(speeds.max()), "deg/s", parameters)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -49,7 +50,8 @@ class PairResult:
 class MeanRow:
     """Mean of one metric over many pairs; None if no pair has a value on both sides, or their rates differ.
 
-    lowest and highest are the extremes over the measured files; count is the number of files with a value.
+    lowest and highest are the extremes over the measured files, None if their rates differ. count is the number of
+    files with a value, and reason says why there is no mean.
     """
 
     id: str
@@ -59,6 +61,11 @@ class MeanRow:
     lowest: float | None
     highest: float | None
     count: int
+    reason: str | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, without the id."""
+        return {k: v for k, v in asdict(self).items() if k != "id" and not (k == "reason" and v is None)}
 
 
 def find_pairs(ground_truth: Path, generated: Path | None) -> tuple[list[Pair], list[Path]]:
@@ -99,6 +106,25 @@ def _by_name(folder: Path) -> dict[Path, list[Path]]:
     return found
 
 
+def names_of_pairs(results: Sequence[PairResult], folder: Path | None = None) -> list[str]:
+    """A name for each pair: its measured file's, or the path below `folder` where several files have that name.
+
+    A file that is measured against several others is named with each of them.
+    """
+    often = Counter(result.name for result in results)
+    names = [r.name if often[r.name] == 1 else _below(folder, r.generated or r.ground_truth) for r in results]
+    often = Counter(names)
+    return [
+        name if often[name] == 1 or r.generated is None else f"{name} against {r.ground_truth}"
+        for name, r in zip(names, results, strict=True)
+    ]
+
+
+def _below(folder: Path | None, path: Path) -> str:
+    """The path relative to a folder that contains it, else the path as given."""
+    return str(path.relative_to(folder) if folder is not None and path.is_relative_to(folder) else path)
+
+
 def evaluate_pairs(
     pairs: Sequence[Pair],
     evaluate: Callable[[Path, Path | None], MetricReport],
@@ -129,38 +155,52 @@ def _evaluated(
 def mean_rows(results: Sequence[PairResult]) -> list[MeanRow]:
     """The mean of each metric over the pairs that have a value, on both sides; every pair has the same weight.
 
-    Jerk has no mean over files whose jerk is measured at different rates, because it grows with the rate.
+    Jerk has neither mean nor extremes over files whose jerk is measured at different rates, because it grows with the
+    rate.
     """
     reports = [result.report for result in results if result.report is not None]
-    rows = []
-    for first in reports[0].rows if reports else ():
-        of_pairs = [row for report in reports for row in report.rows if row.id == first.id]
-        sides = [
-            (row.motion.value, None if row.ground_truth is None else row.ground_truth.value)
-            for row in of_pairs
-            if row.ground_truth is None or row.ground_truth.value is not None
-        ]
-        both = [(value, truth) for value, truth in sides if value is not None]
-        if len({row.motion.parameters.get("fps") for row in of_pairs if row.motion.value is not None}) > 1:
-            both = []
-        values = [row.motion.value for row in of_pairs if row.motion.value is not None]
-        rows.append(
-            MeanRow(
-                first.id,
-                first.motion.unit,
-                _mean([value for value, _ in both]),
-                _mean([truth for _, truth in both if truth is not None]),
-                min(values, default=None),
-                max(values, default=None),
-                len(values),
-            )
-        )
-    return rows
+    return [
+        _mean_row([row for report in reports for row in report.rows if row.id == first.id])
+        for first in (reports[0].rows if reports else ())
+    ]
+
+
+def _mean_row(of_pairs: Sequence[MetricRow]) -> MeanRow:
+    """The mean of one metric, of which there is a row for each pair."""
+    name, unit = of_pairs[0].id, of_pairs[0].motion.unit
+    values = [row.motion.value for row in of_pairs if row.motion.value is not None]
+    rates = {float(row.motion.parameters["fps"]) for row in of_pairs if "fps" in row.motion.parameters}
+    if len(rates) > 1:
+        *lower, highest = [f"{rate:g}" for rate in sorted(rates)]
+        reason = f"values at {', '.join(lower)} and {highest} fps do not compare"
+        return MeanRow(name, unit, None, None, None, None, len(values), reason)
+    both = [
+        (row.motion.value, None if row.ground_truth is None else row.ground_truth.value)
+        for row in of_pairs
+        if row.motion.value is not None and (row.ground_truth is None or row.ground_truth.value is not None)
+    ]
+    return MeanRow(
+        name,
+        unit,
+        _mean([value for value, _ in both]),
+        _mean([truth for _, truth in both if truth is not None]),
+        min(values, default=None),
+        max(values, default=None),
+        len(values),
+        None if both else _no_mean(of_pairs),
+    )
+
+
+def _no_mean(of_pairs: Sequence[MetricRow]) -> str:
+    """Why no pair has a value on both sides: their common reason, or that they have several."""
+    if len({reason for row in of_pairs for reason in row.reasons()}) == 1:
+        return of_pairs[0].reasons()[0]
+    return f"no {'pair has a value on both sides' if of_pairs[0].ground_truth else 'file has a value'}"
 
 
 def pairs_as_dict(results: Sequence[PairResult], sets: Sequence[MetricRow] = ()) -> dict[str, Any]:
     """Plain values for JSON: all pairs, their means by metric, and the metrics of all files together."""
-    means = {row.id: {k: v for k, v in asdict(row).items() if k != "id"} for row in mean_rows(results)}
+    means = {row.id: row.as_dict() for row in mean_rows(results)}
     pairs = [result.as_dict() for result in results]
     return {"pairs": pairs, "mean": means, "sets": [row.as_dict() for row in sets]}
 

@@ -96,6 +96,11 @@ class MetricRow:
             return None
         return self.motion.value / base
 
+    def reasons(self) -> list[str]:
+        """Why values of the motion and of its ground truth are missing, each reason once."""
+        values = (self.motion, self.ground_truth)
+        return list(dict.fromkeys(value.reason for value in values if value is not None and value.reason))
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         out: dict[str, Any] = {"id": self.id, "unit": self.motion.unit, "value": self.motion.value}
@@ -151,9 +156,11 @@ class MetricReport:
 
     def remarks(self) -> list[str]:
         """The notes, and the reasons why metrics could not be measured."""
-        values = [value for row in self.rows for value in (row.motion, row.ground_truth) if value is not None]
-        reasons = [f"{value.id}: {value.reason}" for value in values if value.reason]
-        return list(dict.fromkeys([*self.notes, *reasons]))
+        return list(dict.fromkeys([*self.notes, *self.reasons()]))
+
+    def reasons(self) -> list[str]:
+        """Why metrics could not be measured, each with its id."""
+        return [f"{row.id}: {reason}" for row in self.rows for reason in row.reasons()]
 
     def thresholds(self) -> list[str]:
         """One line per metric with thresholds, without the floor, which is a metric of its own."""
@@ -195,9 +202,7 @@ def evaluate_motion(
         SkeletonError: a skeleton is not the canonical one.
     """
     if min(skip, given) < 0:
-        raise MotionkitError(
-            f"expected frames to skip and given frames of at least 0, found {skip} and {given}"
-        )
+        raise MotionkitError(f"expected 0 or more frames to skip and given frames, found {skip} and {given}")
     settings = settings or MetricSettings()
     motions = [motion] if reference is None else [motion, reference]
     for each, name in zip(motions, _names(motions), strict=True):
@@ -218,9 +223,10 @@ def evaluate_motion(
     spans = [_same_time(each, start, start + frames) for each, start in zip(motions, starts, strict=True)]
     floors = [_floor(each, settings) for each in cut]
     # One floor for both; otherwise a motion that is too low would be measured from its own lower floor.
+    common = spans[-1], rate, floors[-1], settings
     columns = [
-        [*_single_metrics(each, span, spans[-1], rate, floors[-1], settings), _floor_value(floor, settings)]
-        for each, span, floor in zip(cut, spans, floors, strict=True)
+        [*_single_metrics(each, span, *common, start), _floor_value(floor, settings)]
+        for each, span, floor, start in zip(cut, spans, floors, starts, strict=True)
     ]
     if reference is None:
         rows = [MetricRow(value) for value in columns[0]]
@@ -255,23 +261,28 @@ def evaluate_files(
         SkeletonError: a rig cannot be retargeted.
         MotionkitError: as for evaluate_motion.
     """
-    first, notes, words = _loaded(ground_truth, scales[0], rates[0])
+    names = [Path(path).name for path in (ground_truth, generated) if path is not None]
+    if len(set(names)) < len(names):  # notes could not be told apart
+        names = ["ground truth", "generated motion"]
+    first, notes, words = _loaded(ground_truth, names[0], scales[0], rates[0])
     if generated is None:
         with naming(ground_truth, MotionkitError):
             report = evaluate_motion(first, None, settings, skip)
     else:
-        second, more, other = _loaded(generated, scales[1], rates[1])
+        second, more, other = _loaded(generated, names[1], scales[1], rates[1])
         notes, words = notes + more, words + other
         with naming(f"{ground_truth} and {generated}", MotionkitError):
             report = evaluate_motion(second, first, settings, skip, align_start, given)
     return replace(report, notes=(*notes, *report.notes), read_as=tuple(words))
 
 
-def _loaded(path: str | Path, scale: float | None, rate: float | None) -> tuple[Motion, list[str], list[str]]:
-    """A file on the canonical joints, notes, and how it was read."""
+def _loaded(
+    path: str | Path, name: str, scale: float | None, rate: float | None
+) -> tuple[Motion, list[str], list[str]]:
+    """A file on the canonical joints, notes that begin with `name`, and how it was read."""
     with reading(cm=scale), naming(path):
         bvh = read_file(path)
-        motion, notes = canonical_with_notes(bvh, Path(path).name, fps=rate)
+        motion, notes = canonical_with_notes(bvh, name, fps=rate)
         return motion, notes, [describe_motion(bvh_to_motion(bvh, fps=rate))]
 
 
@@ -321,7 +332,13 @@ def sliding_words(motion: Motion) -> str:
 
 
 def _single_metrics(
-    motion: Motion, native: Motion, usual: Motion, jerk_rate: float, floor: float, settings: MetricSettings
+    motion: Motion,
+    native: Motion,
+    usual: Motion,
+    jerk_rate: float,
+    floor: float,
+    settings: MetricSettings,
+    start: int,
 ) -> list[MetricValue]:
     """The metrics of one motion above a floor height.
 
@@ -329,6 +346,7 @@ def _single_metrics(
         motion: at 60 fps.
         native: the same span at the file's own rate, for jerk.
         usual: the ground truth at its own rate, whose jerk is usual.
+        start: frame of the file, at 60 fps, at which the motion begins.
     """
     positions = motion_kinematics(motion)[1].astype(np.float64)
     feet, ground = foot_positions(positions), floor - FLOOR_HEIGHT
@@ -347,11 +365,11 @@ def _single_metrics(
         ),
         (lambda: penetration(feet, floor), {"penetration-mean": "cm", "penetration-max": "cm"}),
         (lambda: leaps(positions, native.fps), {"leaps": "1/min"}),
-        (lambda: fastest_turn(rotations), {"turn-max": "deg/s"}),
+        (lambda: fastest_turn(rotations, start=start), {"turn-max": "deg/s"}),
         (lambda: planted_share(positions, ground), {"planted-share": ""}),
         (lambda: hover_share(positions, ground), {"hover-share": ""}),
         (lambda: lowest_points(positions, ground), {f"lowest-{group}": "cm" for group in GROUPS}),
-        (lambda: flight_acceleration(positions, ground), {"flight-acceleration": "m/s^2"}),
+        (lambda: flight_acceleration(positions, ground, start), {"flight-acceleration": "m/s^2"}),
     ]
     return [value for measure, units in measures for value in measured(measure, units)]
 

@@ -75,10 +75,11 @@ def lowest_points(positions: Array, ground: float = 0.0) -> tuple[MetricValue, .
     return tuple(out)
 
 
-def flight_acceleration(positions: Array, ground: float = 0.0) -> MetricValue:
+def flight_acceleration(positions: Array, ground: float = 0.0, start: int = 0) -> MetricValue:
     """Vertical acceleration in m/s^2 of the centre of mass, in the flight that differs most from free fall.
 
-    A flight is a stretch of at least flight.LEAST_SECONDS in which nothing touches the ground.
+    A flight is a stretch of at least flight.LEAST_SECONDS in which nothing touches the ground. The parameter "frame" is
+    its first frame; start is the number of the first frame of positions.
 
     Raises:
         MotionkitError: there is no flight.
@@ -87,7 +88,7 @@ def flight_acceleration(positions: Array, ground: float = 0.0) -> MetricValue:
     if not found:
         raise MotionkitError("no flight")
     worst = max(found, key=lambda flight: abs(flight.error))
-    parameters: dict[str, float | str] = {"flights": float(len(found)), "frame": float(worst.start)}
+    parameters: dict[str, float | str] = {"flights": float(len(found)), "frame": float(start + worst.start)}
     return MetricValue(
         "flight-acceleration", worst.acceleration, "m/s^2", {**parameters, "ground_cm": ground}
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -206,6 +207,18 @@ def test_stability_measures_every_type_and_random_changes(make_trial, tiny_model
     goal = next(goal for goal in section.goals if "foot height drift" in goal.what)
     assert goal.value == np.mean([abs(drift) <= DRIFT_LIMIT for drift in drifts])
     assert [goal.value for goal in section.goals if "finite" in goal.what] == [1.0]
+
+
+def test_types_of_one_recording_have_no_distance(make_trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pose of another recording is there to measure it from: the cell stays empty, without a warning."""
+    monkeypatch.setattr(
+        "motionkit.lab.scoreboard.stability.real_measures", lambda real, kind: (float("nan"), 500.0)
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        table = stability_section(make_trial(), quiet).tables[0]
+    cells = [(row["pose distance / real"], row["jerk / real"]) for row in table.as_dict()["rows"]]
+    assert all(distance is None and jerk > 0.0 for distance, jerk in cells)
 
 
 def test_reconstruction_scores_ground_truth_baselines_and_model(

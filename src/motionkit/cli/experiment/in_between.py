@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from motionkit.cli.common import (
     EXISTING_FILE,
@@ -38,6 +39,12 @@ def in_between_command(
     it, positions divided by their deviations in the windows of the other performers. Zero velocity and interpolation
     stand beside the published figures. A model works on the 23 joints and at 60 fps: what mapping costs is a row.
     """
+    if bundled and model_path is not None:
+        raise click.UsageError("--model and --bundled both name the model; give one of them")
+    asked = click.get_current_context().get_parameter_source("kind") is not ParameterSource.DEFAULT
+    if asked and not bundled and model_path is None:
+        raise click.UsageError("--type is for a model; give --model or --bundled")
+
     from motionkit.cli.common import stdout_console
     from motionkit.cli.console import make_table
     from motionkit.lab.in_betweening import PUBLISHED, in_between

@@ -80,7 +80,7 @@ def real_measures(real: RealMotion, kind: str) -> tuple[float, float]:
 
 
 def _mixed(recorded: dict[str, tuple[float, float]], parts: tuple[TypePart, ...]) -> tuple[float, float]:
-    """Return the average of real_measures over the types of a plan, weighted by their seconds."""
+    """Return the average of real_measures over the types of a plan, weighted by their seconds; NaN if none is known."""
     seconds: dict[str, float] = defaultdict(float)
     for part in parts:
         seconds[part.type] += part.seconds
@@ -88,7 +88,8 @@ def _mixed(recorded: dict[str, tuple[float, float]], parts: tuple[TypePart, ...]
     shares = np.array(list(seconds.values()))[:, None]
     # A type with one clip has no distance and counts for the jerk only.
     known = shares * np.isfinite(measures)
-    distance, jerk = (np.nan_to_num(measures) * known).sum(axis=0) / known.sum(axis=0)
+    sums, weights = (np.nan_to_num(measures) * known).sum(axis=0), known.sum(axis=0)
+    distance, jerk = np.divide(sums, weights, out=np.full(2, np.nan), where=weights > 0.0)
     return float(distance), float(jerk)
 
 
