@@ -209,12 +209,13 @@ def _made_dataset(target: Path) -> Dataset | None:
 
 
 def _tell_changed(data: Path, target: Path, watcher: Watcher) -> None:
-    """Report files that are newer than the dataset; the dataset stays as it is."""
+    """Report clips and tables of labels that are newer than the dataset; the dataset stays as it is."""
     from motionkit.data.folder import MANIFEST
     from motionkit.rig.read_file import ENDINGS
 
     made = (target / DATASET / MANIFEST).stat().st_mtime
-    newer = [path for path in files_below(data, ENDINGS) if path.stat().st_mtime > made]
+    tables = [path for path in files_below(data, ".csv") if path.name == "labels.csv"]
+    newer = [path for path in [*tables, *files_below(data, ENDINGS)] if path.stat().st_mtime > made]
     if newer:
         more = f" and {len(newer) - 1} more are" if len(newer) > 1 else " is"
         watcher.tell(

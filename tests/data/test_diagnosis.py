@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from motionkit.data.dataset import Dataset
 from motionkit.data.diagnosis import Diagnosis, diagnose, two_groups
 from motionkit.data.events import find_events
+from motionkit.data.repeat import small_types
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.motion.bvh import write_bvh
@@ -119,11 +121,22 @@ def test_a_type_of_clips_that_are_too_short_cannot_be_learnt(tmp_path: Path) -> 
         (tmp_path / "a").mkdir(exist_ok=True)
         write_bvh(tmp_path / "a" / f"{number}.bvh", motion.cut(60 * number, 60 * number + 20))
     (facts,) = diagnose([tmp_path]).types
-    assert "too short, 0.3 s, and 0.4 s are needed" in facts.unlearnable
+    assert "too short, at most 0.33 s, and 0.4 s are needed" in facts.unlearnable
     assert facts.warnings == (facts.unlearnable,)
     write_bvh(tmp_path / "a" / "longer.bvh", motion.cut(100, 126))
     (facts,) = diagnose([tmp_path]).types
     assert not facts.unlearnable
+
+
+def test_short_stretches_of_one_clip_do_not_add_up(tmp_path: Path) -> None:
+    write_bvh(tmp_path / "a.bvh", mk.synthesize("walking:4", seed=2).motion)
+    rows = [f"a.bvh,{start},{start + 21},steps" for start in (60, 120, 180)]
+    (tmp_path / "labels.csv").write_text("\n".join(["file,start_frame,end_frame,type", *rows]))
+    (facts,) = diagnose([tmp_path]).types
+    assert "too short, at most 0.35 s" in facts.unlearnable
+    mk.preprocess([tmp_path], tmp_path / "ds", mk.PreprocessOptions(held_out=()))
+    (line,) = small_types(Dataset(tmp_path / "ds"))
+    assert "clips of at most 0.35 s, expected at least 0.4 s" in line
 
 
 def test_short_stretches_that_touch_are_usable(tmp_path: Path) -> None:

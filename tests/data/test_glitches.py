@@ -24,10 +24,13 @@ def test_a_joint_that_leaps_and_goes_on_is_found() -> None:
     assert find_leaps(positions) == [30]
 
 
-def test_a_root_that_leaps_with_the_whole_body_is_no_leap_of_a_joint() -> None:
+def test_a_root_that_leaps_with_the_whole_body_is_found() -> None:
     positions = walk_positions()
-    positions[30:] += 100.0
-    assert find_leaps(positions) == []
+    positions[30:, :, 0] += 2.0 * LEAP_DISTANCE
+    assert find_leaps(positions) == [30]
+    fast = walk_positions()
+    fast[..., 2] += 0.9 * LEAP_DISTANCE * np.arange(len(fast), dtype=np.float32)[:, None]
+    assert find_leaps(fast) == [], "a body that is as fast all the time does not leap"
 
 
 def test_a_body_that_leaps_ten_metres_is_cut_there() -> None:

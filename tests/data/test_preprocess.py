@@ -319,6 +319,19 @@ def test_one_sided_types_with_one_clip_each_both_train(tmp_path: Path) -> None:
         assert trained == {0, 1}
 
 
+def test_a_file_whose_split_is_open_is_not_the_only_one_beside_those_that_are_named(tmp_path: Path) -> None:
+    """Its mirror image would test beside real test clips, though the file trains."""
+    (tmp_path / "clips").mkdir()
+    rows = ["file,start_frame,end_frame,type,split"]
+    for number, split in enumerate(("train", "train", "", "test")):
+        write_bvh(tmp_path / "clips" / f"{number}.bvh", make_walk(30, phase=float(number)))
+        rows.append(f"{number}.bvh,0,-1,walking,{split}")
+    (tmp_path / "clips" / "labels.csv").write_text("\n".join(rows) + "\n", "utf-8")
+    preprocess([tmp_path / "clips"], tmp_path / "out", ONE_JOB)
+    clips = clips_by_file(Dataset(tmp_path / "out"))["2.bvh"]
+    assert {(c.split, c.mirrored) for c in clips} == {("train", False), ("train", True)}
+
+
 def test_a_one_sided_type_alone_is_never_shown_mirrored(tmp_path: Path) -> None:
     """Its mirror image would have the wrong label, in training as in testing."""
     for take in range(8):

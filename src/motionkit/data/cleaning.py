@@ -409,11 +409,12 @@ def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
 
 # ---- leaps: a joint jumps and does not return, which cannot be repaired ----
 
-# A joint leaps if its step relative to the root at 60 fps exceeds LEAP_DISTANCE (cm), and LEAP_RATIO times the median
-# of the steps around it. The fastest feet in CMU flips move 16 to 23 cm per frame.
+# A joint leaps if its step relative to the root at 60 fps, or that of the root itself, exceeds LEAP_DISTANCE (cm), and
+# LEAP_RATIO times the median of the steps around it. The fastest feet in CMU flips move 16 to 23 cm per frame.
 LEAP_DISTANCE = 25.0
 LEAP_RATIO = 2.2
-# cm per frame of the root (600 m/s); a larger step would dominate the scaling of the features.
+# cm per frame of the root (600 m/s); a larger step is a leap whatever is around it: it would dominate the scaling of
+# the features.
 ROOT_LEAP = 1000.0
 _REACH = 4  # steps on each side of a step; the nearest one is left out of the comparison
 
@@ -424,6 +425,7 @@ def find_leaps(global_positions: Array) -> list[int]:
     Positions are (T, 23, 3) in cm at 60 fps.
     """
     relative = global_positions - global_positions[:, :1]
+    relative[:, 0] = global_positions[:, 0]
     steps = np.linalg.norm(np.diff(relative, axis=0), axis=-1)  # step t leads from frame t to t + 1
     if len(steps) < 2 * _REACH + 1:
         return []
@@ -431,7 +433,7 @@ def find_leaps(global_positions: Array) -> list[int]:
     windows = sliding_window_view(padded, 2 * _REACH + 1, axis=0)
     around = lower_median(np.concatenate([windows[..., : _REACH - 1], windows[..., _REACH + 2 :]], -1), -1)
     leaps = (steps > LEAP_DISTANCE) & (steps > LEAP_RATIO * around)
-    lost = np.linalg.norm(np.diff(global_positions[:, 0], axis=0), axis=-1) > ROOT_LEAP
+    lost = steps[:, 0] > ROOT_LEAP
     return (np.flatnonzero(leaps.any(axis=-1) | lost) + 1).tolist()
 
 

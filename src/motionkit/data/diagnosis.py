@@ -286,18 +286,15 @@ def _type_facts(
 
 def _unlearnable(mine: list[_Stretch]) -> str:
     """Why a type with these stretches cannot be learnt, and what to do; "" if it can be."""
-    files: dict[str, float] = defaultdict(float)
-    for stretch in mine:
-        if stretch.trains:
-            files[stretch.clip] += stretch.seconds
-    if not files:
+    training = [stretch.seconds for stretch in mine if stretch.trains]
+    if not training:
         return (
             "it cannot be learnt: the split column of labels.csv holds out all its clips; mark some as train"
         )
-    longest, needed = max(files.values()), LEAST_FRAMES / FPS
+    longest, needed = max(training), LEAST_FRAMES / FPS
     if longest < needed:
         return (
-            f"it cannot be learnt: it is too short, {longest:.1f} s, and {needed:g} s are needed; "
+            f"it cannot be learnt: its clips are too short, at most {longest:.2g} s, and {needed:g} s are needed; "
             "give it longer clips"
         )
     return ""

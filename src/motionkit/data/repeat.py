@@ -119,12 +119,15 @@ def type_amounts(dataset: Dataset) -> dict[str, tuple[int, float]]:
 def small_types(dataset: Dataset) -> list[str]:
     """A warning for each type with no training clip, one clip, or only a few seconds."""
     lines, least = [], LEAST_FRAMES / dataset.fps
+    longest: dict[str, float] = defaultdict(float)
+    for _, start, end, kind in dataset.stretches():
+        longest[kind] = max(longest[kind], (end - start) / dataset.fps)
     for kind, (clips, seconds) in type_amounts(dataset).items():
         if clips == 0:
             lines.append(f"{kind!r} has no training clip, only held-out ones; it cannot be learnt")
-        elif seconds < least:
+        elif longest[kind] < least:
             lines.append(
-                f"{kind!r} has {seconds:.1f} s of motion, expected at least {least:g} s to learn from"
+                f"{kind!r} has clips of at most {longest[kind]:.2g} s, expected at least {least:g} s to learn from"
             )
         elif seconds < FEW_SECONDS:
             lines.append(f"{kind!r} has {seconds:.1f} s of motion to learn from; give it more clips")

@@ -18,18 +18,20 @@ def decide_splits(
 ) -> dict[tuple[int, int], str]:
     """Choose a split for each (file, run) without one.
 
-    With `test`, the runs of some files of each type are held out for the test. A type's only file gets the split
-    "mirror": its clips train and their mirror images test, or the reverse for about half of such types (paper section
-    3). If the mirror image belongs to another type, the file trains.
+    With `test`, the runs of some files of each type are held out for the test. The file of a type with no other file,
+    not even one whose split the labels name, gets the split "mirror": its clips train and their mirror images test, or
+    the reverse for about half of such types (paper section 3). If the mirror image belongs to another type, the file
+    trains.
     """
     files = _files_of_types(prepared, lambda run, key: not run.split)
+    every = _files_of_types(prepared, lambda run, key: True)
     out: dict[tuple[int, int], str] = {}
     for kind in sorted(files):
         order = sorted(files[kind], key=lambda i: hashed(f"{prepared[i].report.name}{files[kind][i][0][1]}"))
         count = max(1, round(TEST_SHARE * len(order))) if test and len(order) > 1 else 0
         for n, i in enumerate(order):
             out.update(dict.fromkeys(files[kind][i], "test" if n < count else "train"))
-        if test and len(order) == 1:
+        if test and len(every[kind]) == 1:
             keys = files[kind][order[0]]
             kinds = {kind for i, r in keys for _, _, kind in prepared[i].runs[r].spans}
             same = all(mirror_types[kind] == kind for kind in kinds)

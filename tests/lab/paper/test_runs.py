@@ -289,6 +289,12 @@ def test_a_training_set_has_no_test_sequence(
     assert all(s.frames >= 30 and s.initial in (30, 87) for s in held_out(dataset, 100))
     with pytest.raises(DatasetError, match="unknown data set 'none'"):
         select(paper_folder, "none")
+    sets = paper_folder / "sets"
+    sets.mkdir()
+    (sets / f"{name}.json").write_text("{}")
+    with pytest.raises(DatasetError, match=f"{name} is a data set of motionkit; give it another name"):
+        select(paper_folder, name)
+    shutil.rmtree(sets)
     monkeypatch.setitem(SELECTIONS, "empty", Selection("empty", "nothing", lambda dataset: ([], [])))
     with pytest.raises(DatasetError, match="no training clips for the data set empty"):
         select(paper_folder, "empty")

@@ -45,6 +45,10 @@ def select(folder: Path, name: str) -> Dataset:
         DatasetError: if the data set is unknown, or has no training or test clips here.
     """
     dataset = Dataset(folder)
+    if name in SELECTIONS and (folder / USER_SETS / f"{name}.json").exists():
+        raise DatasetError(
+            f"{folder / USER_SETS / name}.json: {name} is a data set of motionkit; give it another name"
+        )
     train, test = (SELECTIONS.get(name) or user_selection(folder, name)).choose(dataset)
     if not train or not test:
         expected = f"test clips have at least {LEAST_TEST} frames"

@@ -128,7 +128,7 @@ def _unlearnt(real: RealMotion, kind: str) -> TypeVerdict:
     longest = real.longest.get(kind, 0.0)
     why = "there are no clips to learn from"
     if longest:
-        why = f"its clips are too short: at most {longest:.1f} s, and {SHORTEST / real.fps:g} s are needed"
+        why = f"its clips are too short: at most {longest:.2g} s, and {SHORTEST / real.fps:g} s are needed"
     return TypeVerdict(kind, 0, 0.0, 0, 0, 0.0, None, WALKS_WITHIN, 0.0, (why,))
 
 
