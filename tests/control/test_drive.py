@@ -183,6 +183,15 @@ def test_a_type_with_a_phase_that_is_held_is_repeated(tiny_model: MotionModel) -
     assert shares(asked, tiny_model, "idle")[-1] == 1.0
 
 
+@pytest.mark.parametrize("seconds", [float("nan"), float("inf"), 0.0, -1.0, 61.0])
+def test_lengths_that_no_performance_has_are_refused(tiny_model: MotionModel, seconds: float) -> None:
+    driver = Driver(tiny_model)
+    with pytest.raises(ControlError, match="expected a length from 0 to 60 s"):
+        driver.perform("running", seconds=seconds)
+    play(driver, 3)
+    assert driver.performing is None
+
+
 def test_a_type_without_a_length_is_performed_for_the_seconds_given(tiny_model: MotionModel) -> None:
     driver = Driver(tiny_model)
     driver.perform("running", seconds=0.5)

@@ -59,6 +59,24 @@ def test_it_is_what_synthesize_makes(tiny_model: MotionModel) -> None:
     assert np.abs(agree - 1.0).max() < 1e-4
 
 
+@pytest.mark.parametrize(
+    ("index", "place", "said"),
+    [
+        (-1, (0.0, 0.0, 0.0), "from 0 to 1, found -1"),
+        (2, (0.0, 0.0, 0.0), "found 2"),
+        (0, (np.nan, 0.0, 0.0), "finite"),
+    ],
+)
+def test_a_reset_that_cannot_be_changes_nothing(
+    tiny_model: MotionModel, index: int, place: tuple[float, float, float], said: str
+) -> None:
+    stream = CharacterStream(tiny_model, 2, noise=Noise("mean"), ik=False)
+    before = stream.ground
+    with pytest.raises(ControlError, match=said):
+        stream.reset(index, type="walking", place=place)
+    assert np.array_equal(stream.ground, before)
+
+
 def test_reset_touches_one_character_only(tiny_model: MotionModel) -> None:
     controls = asked(tiny_model, ["walking", "walking"])
     a, b = (CharacterStream(tiny_model, 2, noise=Noise("mean"), ik=False) for _ in range(2))

@@ -470,6 +470,19 @@ def test_a_recording_on_a_users_rig(serve: Callable, web: Callable, tmp_path: Pa
     assert f"Frames: {event['frames']}" in body.decode()
 
 
+def test_a_recording_in_a_format_that_takes_an_avatar_goes_on(serve: Callable, web: Callable) -> None:
+    client = web(serve())
+    mine = client.hello["character"]
+    client.ask(do="record", on=True, format="vrm")
+    assert "takes an avatar" in client.until("error")["message"]
+    client.ask(do="record", on=True)
+    client.until("frame", lambda f: f["characters"].get(mine, {"flags": 0})["flags"] & 4)
+    client.ask(do="record", on=False, format="vrm")
+    assert "takes an avatar" in client.until("error")["message"]
+    client.ask(do="record", on=False, format="bvh")
+    assert client.until("recorded")["format"] == "bvh", "what was recorded is kept"
+
+
 def test_a_recording_in_another_format(serve: Callable, web: Callable) -> None:
     server = serve(recording_format="usda")
     client = web(server)

@@ -20,7 +20,8 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.names import nfc
 
-DEFAULT_SECONDS = 2.0  # of a type performed once that has no length of its own
+# Seconds of a type performed once that has no length of its own: the usual ones, and the most.
+DEFAULT_SECONDS, LONGEST = 2.0, 60.0
 PATH = ""  # in place of a type while the parts of a path name the types
 _TRAJECTORY = ("trajectory", "trajectory_mask")
 FASTEST_WISH = 1000.0  # cm/s; faster than any sprint
@@ -117,10 +118,12 @@ class Driver:
             choice: picks among the recordings of the type.
 
         Raises:
-            ControlError: for an unknown type.
+            ControlError: for an unknown type, or a length beyond LONGEST.
         """
         kind = nfc(kind)
         self.model.type_id(kind)
+        if not 0.0 < seconds <= LONGEST:
+            raise ControlError(f"expected a length from 0 to {LONGEST:g} s, found {seconds:g}")
         self.performances.waiting = Request(kind, seconds, choice)
 
     @property

@@ -95,8 +95,12 @@ class CharacterStream:
         """Restart one character from a start pose of a type, at x, z (cm) and heading (radians).
 
         Raises:
-            ControlError: for an unknown character or type.
+            ControlError: for an unknown index, character or type, or a place that is not finite.
         """
+        if not 0 <= index < len(self.body.scale):
+            raise ControlError(f"expected a character from 0 to {len(self.body.scale) - 1}, found {index}")
+        if not np.isfinite(place).all():
+            raise ControlError(f"expected a place of finite numbers, found {place}")
         model, kind = self.model, type or model_first_type(self.model)
         weights = model.type_weights(kind)[None]
         start = on_body(model, type_start(model, kind, 1), model.moved_skeleton(character))

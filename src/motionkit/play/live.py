@@ -64,6 +64,14 @@ class RecordingWriter:
         """Whether as many recordings are being written as may be kept."""
         return len(self._tasks) >= self._most
 
+    def check(self, format: str | None) -> None:
+        """Raise ControlError for a format that recordings on this rig cannot have; None is the usual one."""
+        character = None if self._rig[0] is None else self._rig[0].character
+        if format == "vrm" and (character is None or not character.humanoid):
+            raise ControlError(
+                "the format vrm takes an avatar; motionkit play has none without --rig avatar.vrm"
+            )
+
     def write(self, recorded: Recorded, tell: Callable[[dict[str, Any]], None]) -> None:
         """Begin to write a recording; tell is called with the event of its end."""
         task = asyncio.get_running_loop().create_task(self._write(recorded, tell))
@@ -198,6 +206,7 @@ class Live:
         try:
             if request.fields.get("on") and self.writer.full:
                 raise ControlError("earlier recordings are still being written")
+            self.writer.check(request.fields.get("format"))
             recorded = self.session.obey(client.number, request)
         except ControlError as error:
             client.tell(error_event(error, closing=False))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from motionkit.control.drive import DEFAULT_SECONDS, LONGEST
 from motionkit.control.path import MAX_STOP
 from motionkit.errors import MotionkitError
 from motionkit.files import is_number, parse_json
@@ -22,7 +23,6 @@ MAX_PLACE = 1e6  # cm from the origin
 MAX_COUNT = 2**32 - 1  # largest whole number; 32 bits in binary frames
 MAX_NAME = 100  # letters in the name of a type or body
 MAX_TEMPERATURE = 2.0  # standard deviations
-MAX_SECONDS = 60.0  # length of a performance
 MAX_STOPS = 100  # stops on a path
 
 
@@ -133,7 +133,7 @@ REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
     "perform": {
         **_CHARACTER,
         "type": (_name, _REQUIRED),
-        "seconds": (_number(0.1, MAX_SECONDS), 2.0),
+        "seconds": (_number(0.1, LONGEST), DEFAULT_SECONDS),
         **_SEQ,
     },
     "path": {
