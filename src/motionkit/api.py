@@ -82,6 +82,9 @@ def retarget(
     """Retarget a motion to a user's rig; mk.write saves the result. A .bvh file keeps the rig's hierarchy and channels.
     A .glb or .vrm file is that of the rig, if it is one, with the motion as one more animation.
 
+    The motion is resized as a whole. To meet keys or a path in the rig's world, make it with places divided by the
+    rig's size: `Key.scaled`, `Path2D.scaled` (the command line does).
+
     Args:
         motion: on the 23 canonical joints in cm, the floor at height zero; a result of synthesize or follow_path, whose
             feet are then locked on the rig's body alone, or of loop, which is closed again; or a BVH file of any human

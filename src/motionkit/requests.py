@@ -18,7 +18,7 @@ from motionkit.control.lead_ins import natural_seconds
 from motionkit.control.path import Path2D, check_shape_options, read_path, shape_path
 from motionkit.control.plan import plan_path, plan_types
 from motionkit.control.script import TypePart, parse_types
-from motionkit.control.speeds import check_speeds, hurried_keys
+from motionkit.control.speeds import check_speeds, doubtful_parts, hurried_keys, other_speeds
 from motionkit.control.steering import walking_type
 from motionkit.control.synthesize import SynthesisOptions, SynthesisResult
 from motionkit.errors import ControlError
@@ -73,11 +73,18 @@ class SynthesisRequest:
         model: its reference recordings are removed if the request says so.
         plans: for each character a list of types; reused in turn.
         options: synthesis options.
+        size: size of the rig that the keys are for, relative to the model's body.
     """
 
     model: MotionModel
     plans: Sequence[list[TypePart]]
     options: SynthesisOptions
+    size: float = 1.0
+
+    def on_rig(self, size: float) -> SynthesisRequest:
+        """The same request with its keys in the world of a rig of a size relative to the model's body."""
+        keys = tuple(key.scaled(1.0 / size) for key in self.options.keys)
+        return replace(self, options=replace(self.options, keys=keys), size=size)
 
     @property
     def name(self) -> str:
@@ -104,8 +111,9 @@ class SynthesisRequest:
     @property
     def doubtful(self) -> list[str]:
         """Lines for what may not look right: types cut short, and gaits that keys hurry."""
-        keys = self.options.keys
-        return self.cut_short + [line for plan in self.plans for line in hurried_keys(self.model, plan, keys)]
+        keys, start = self.options.keys, ORIGIN if self.options.init is None else None
+        hurried = [hurried_keys(self.model, plan, keys, start, self.size) for plan in self.plans]
+        return self.cut_short + [line for lines in hurried for line in lines]
 
     def run(self, progress: Callable[[int], None] | None = None) -> SynthesisResult:
         """Synthesize; progress is called with the number of frames done."""
@@ -179,11 +187,28 @@ def loop_wish(types: str | Sequence[str], seconds: float | None) -> float | None
 
 @dataclass(frozen=True, eq=False)
 class PathRequest:
-    """A path to follow, with the model and its options."""
+    """A path to follow, with the model and its options; size is that of its rig relative to the model's body."""
 
     model: MotionModel
     path: Path2D
     options: SynthesisOptions
+    size: float = 1.0
+
+    def on_rig(self, size: float, strict: bool = False) -> PathRequest:
+        """The same request with its path in the world of a rig of a size relative to the model's body.
+
+        Raises ControlError with strict for a speed outside the range of a gait's recordings.
+        """
+        path = self.path if size == 1.0 else self.path.scaled(1.0 / size)
+        if strict:
+            check_speeds(self.model, path, size)
+        return replace(self, path=path, size=size)
+
+    @property
+    def doubtful(self) -> list[str]:
+        """Lines for what may not look right: speeds that are not kept, and parts too short for their type."""
+        given = self.model, self.path, self.size
+        return other_speeds(*given) + doubtful_parts(*given)
 
     @property
     def seconds(self) -> float:
@@ -228,6 +253,4 @@ def path_request(
         if not all(kinds):
             raise ControlError(f"expected types such as running,cartwheel, found {types!r}")
         target = shape_path(str(path), size, kinds, speed)
-    if strict:
-        check_speeds(model, target)
-    return PathRequest(model, target, SynthesisOptions(**options))
+    return PathRequest(model, target, SynthesisOptions(**options)).on_rig(1.0, strict)

@@ -30,6 +30,12 @@ def hero(tmp_path: Path) -> Path:
     return tmp_path / "hero.glb"
 
 
+def test_a_format_without_animations_says_that_it_has_no_name(motionkit, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.bvh", make_walk(30))
+    said = motionkit("convert", "a.bvh", "b.glb", "--clip", "run")
+    assert said.code == 0 and "its only motion, for its format has none called run" in said.err
+
+
 @pytest.mark.parametrize(
     ("words", "made"),
     [

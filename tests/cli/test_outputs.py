@@ -205,7 +205,7 @@ def test_a_fault_while_writing_leaves_nothing(tmp_path: Path) -> None:
 def test_more_than_memory_holds_is_refused_before_it_is_asked_for(
     motionkit, home: Path, words: list, complaint: str
 ) -> None:
-    part = {"type": "cartwheel", "speed": 0.05, "points": [[0, 0], [0, 9999.99]]}
+    part = {"type": "cartwheel", "speed": 0.05, "points": [[0, -4999.99], [0, 5000]]}
     (home / "far.json").write_text(json.dumps({"parts": [part]}))
     before = contents(home)
     refused = motionkit(*words, "--model", "m.safetensors")

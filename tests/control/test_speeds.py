@@ -56,6 +56,20 @@ def test_a_gait_goes_as_its_recordings_do(model: MotionModel, asked: float, gone
         check_speeds(model, line(asked))
 
 
+@pytest.mark.parametrize(("asked", "fits"), [(2.4, True), (1.2, False)])
+def test_on_a_rig_speeds_are_those_of_its_world(model: MotionModel, asked: float, fits: bool) -> None:
+    """A body twice as large walks at twice the speed; both ways of asking say the same."""
+    path = line(asked).scaled(0.5)
+    if fits:
+        assert other_speeds(model, path, 2.0) == []
+        check_speeds(model, path, 2.0)
+        return
+    said = "1.80 to 3.30 m/s by its recordings"
+    assert other_speeds(model, path, 2.0) == [f"part 1: walking goes at 1.80 m/s instead of 1.2: {said}"]
+    with pytest.raises(ControlError, match=f"{said}, found 1.2 m/s"):
+        check_speeds(model, path, 2.0)
+
+
 def test_no_limits_without_a_gait_or_a_wish(model: MotionModel) -> None:
     usual = model.types["walking"].gait.speed
     assert part_speeds(model, line(None)) == pytest.approx([usual], rel=1e-4)

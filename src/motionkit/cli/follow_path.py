@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +51,7 @@ FAR = 30_000.0  # cm; a longer path may have been meant in other units
 )
 @synthesis_options
 def command(
-    path: str, types: str | None, making: Making, output_options: OutputOptions, **shape: Any
+    path: str, types: str | None, strict: bool, making: Making, output_options: OutputOptions, **shape: Any
 ) -> None:
     """Make a character follow PATH and write BVH or another format.
 
@@ -62,7 +61,7 @@ def command(
 
     A gait goes no slower and no faster than its recordings look right, and the command says so.
     """
-    from motionkit.control.speeds import doubtful_parts, other_speeds
+    from motionkit.control.path import IN_METRES
     from motionkit.requests import PATH_ENDINGS, is_path_file, path_request
 
     is_file = is_path_file(path)
@@ -79,14 +78,11 @@ def command(
     outputs = output_options.files(name, inputs, ending=making.choice.ending)
     if target.length > FAR:
         metres = target.length / 100.0
-        remark(
-            f"the path is {metres:.0f} m long; paths are in metres: divide by 100 if yours is in centimetres"
-        )
+        remark(f"the path is {metres:.0f} m long; {IN_METRES}")
     size = making.choice.size(model.character(making.character))
-    if making.choice.rig is not None:  # the path is in the world of the rig
-        request = replace(request, path=target.scaled(1.0 / size))
+    request = request.on_rig(size, strict)
     announce(request.seconds, model.fps, request.options)
-    for line in other_speeds(model, request.path) + doubtful_parts(model, request.path):
+    for line in request.doubtful:
         remark(line)
     with Stages() as show:
         result = request.run(show.share("following"))

@@ -170,10 +170,10 @@ class RigChoice:
         if self.rig is None:
             return 1.0
         from motionkit.motion.skeleton import leg_length
-        from motionkit.rig.units import guess_scale
+        from motionkit.rig.units import rig_unit
 
         with as_found():
-            return self.rig.leg * guess_scale(self.rig.leg, self.rig.skeleton.cm)[0] / leg_length(body)
+            return self.rig.leg * rig_unit(self.rig.skeleton, self.rig.leg)[0] / leg_length(body)
 
     def own_body(self, written: Motion, measured: Motion) -> Motion:
         """A written motion on the canonical joints with the bones of the rig; `measured` without a rig."""

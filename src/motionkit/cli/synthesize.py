@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,9 +98,7 @@ def command(
     inputs = (*making.inputs, *((keys_file, *key_files(keys_file)) if keys_file else ()))
     keys = request.options.keys  # in the world of the rig
     if keys:
-        smaller = 1.0 / making.choice.size(request.model.character(making.character))
-        met = tuple(key.scaled(smaller) for key in keys)
-        request = replace(request, options=replace(request.options, keys=met))
+        request = request.on_rig(making.choice.size(request.model.character(making.character)))
     ending = making.choice.ending
     outputs = output_options.files(request.name, inputs, request.options.count, ending=ending)
     announce(request.frames / request.model.fps, request.model.fps, request.options)
@@ -175,7 +172,7 @@ def _write(
         if seam:
             facts |= seam.as_dict()
         if keys:
-            own = making.choice.own_body(put, measured)
+            own = making.choice.own_body(cycle, measured)
             away = [(key.seconds, *arrival(own, key)) for key in keys]
             facts["keys"] = [dict(zip(("seconds", "cm", "degrees"), each, strict=True)) for each in away]
         made.append({"facts": facts, "seam": seam})

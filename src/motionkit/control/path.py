@@ -24,7 +24,8 @@ from motionkit.names import nfc, unknown_name
 METRE = 100.0
 SPACING = 2.0  # cm between the points a path is resampled to, as steering_kernel.c has it
 MAX_LENGTH = 10_000 * METRE
-MAX_COORDINATE = 1e6  # metres
+IN_METRES = "paths are in metres: divide by 100 if yours is in centimetres"
+MAX_COORDINATE = 5000.0  # metres; places in float32 are exact to 0.03 cm there, and a body shakes further out
 MAX_TYPE = 100  # letters
 MAX_STOP = 600.0  # seconds
 
@@ -100,8 +101,7 @@ def make_path(parts: list[PathPart]) -> Path2D:
             raise ControlError(f"part {number} of the path ({part.type}) {one}, expected at least 4 cm")
     if arcs[-1] > MAX_LENGTH:
         raise ControlError(
-            f"the path is {arcs[-1] / METRE:,.0f} m long, expected at most {MAX_LENGTH / METRE:,.0f} m; paths are in "
-            "metres: divide by 100 if yours is in centimetres"
+            f"the path is {arcs[-1] / METRE:,.0f} m long, expected at most {MAX_LENGTH / METRE:,.0f} m; {IN_METRES}"
         )
     library, words = steering_library(), (Part * len(parts))(*(Part(last=number) for number in last.tolist()))
     count = library.path_points(corners.ctypes.data, len(corners))
@@ -260,7 +260,7 @@ def _json_parts(file: Path, text: str) -> list[PathPart]:
         points = entry.get("points")
         if not isinstance(points, list) or not all(_is_point(p) for p in points) or not points:
             raise ControlError(
-                f"{where}: expected points as a list of [x, z] numbers up to {MAX_COORDINATE:,.0f}"
+                f"{where}: expected points as a list of [x, z] numbers up to {MAX_COORDINATE:,.0f}; {IN_METRES}"
             )
         speed, stop = entry.get("speed"), entry.get("stop")
         for name, found in (("speed", speed), ("stop", stop)):
@@ -304,6 +304,11 @@ def _csv_parts(file: Path, text: str) -> list[PathPart]:
     stops: list[float] = []
     try:
         found = [name.strip().lower() for name in reader.fieldnames or []]
+        twice = [name for name in ("x", "z", "type", "speed", "stop") if found.count(name) > 1]
+        if twice:
+            raise ControlError(
+                f"{file}:1: expected each column once, found {twice[0]} {found.count(twice[0])} times"
+            )
         missing = [name for name in ("x", "z", "type") if name not in found]
         if missing:
             first = f"found {lines[0][:40]!r}" if found else "found nothing"
@@ -342,7 +347,7 @@ def _csv_row(where: str, row: dict[str, str]) -> tuple[str, float | None, float,
     except (AttributeError, TypeError, ValueError):
         raise ControlError(f"{where}: expected numbers for x, z, speed and stop") from None
     if not all(abs(v) <= MAX_COORDINATE for v in (*point, speed or 0.0, stop or 0.0)):
-        raise ControlError(f"{where}: expected finite numbers up to {MAX_COORDINATE:,.0f}")
+        raise ControlError(f"{where}: expected finite numbers up to {MAX_COORDINATE:,.0f}; {IN_METRES}")
     kind = (row["type"] or "").strip()
     if not kind:
         raise ControlError(f"{where}: expected a motion type, found none")

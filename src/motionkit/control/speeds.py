@@ -1,4 +1,8 @@
-"""Speeds along a path: the requested ones, within the range that recordings of the type show."""
+"""Speeds along a path: the requested ones, within the range that recordings of the type show.
+
+Paths and keys are those of the model's body. Where they are made for a rig, `size` is the rig's size relative to that
+body, and speeds and lengths are told in metres of the rig's world.
+"""
 
 from __future__ import annotations
 
@@ -59,16 +63,16 @@ def part_speeds(model: MotionModel, path: Path2D) -> Array:
     return np.array([speed(part) for part in path.parts])
 
 
-def other_speeds(model: MotionModel, path: Path2D) -> list[str]:
+def other_speeds(model: MotionModel, path: Path2D, size: float = 1.0) -> list[str]:
     """A line for each part whose speed differs from the requested one."""
     return [
-        f"part {number}: {kind} goes at {gone / METRE:.2f} m/s instead of {requested / METRE:g}: "
-        + _recorded(model, kind)
+        f"part {number}: {kind} goes at {size * gone / METRE:.2f} m/s instead of {size * requested / METRE:g}: "
+        + _recorded(model, kind, size)
         for number, kind, requested, gone in _changed(model, path)
     ]
 
 
-def doubtful_parts(model: MotionModel, path: Path2D) -> list[str]:
+def doubtful_parts(model: MotionModel, path: Path2D, size: float = 1.0) -> list[str]:
     """A line for each part that has less than half the time of its flip, jump or strike, or whose body stands."""
     lines = []
     speeds, lengths = part_speeds(model, path), np.bincount(path.part, minlength=len(path.parts)) * SPACING
@@ -78,33 +82,43 @@ def doubtful_parts(model: MotionModel, path: Path2D) -> list[str]:
             lines.append(f"part {number}: {part.type} stands; on a path its body is dragged along")
         if float(length / speed) < SHORT * seconds:
             lines.append(
-                f"part {number}: {part.type} takes some {seconds * float(speed) / METRE:.1f} m, found "
-                f"{float(length) / METRE:.1f} m, in which it may not be shown"
+                f"part {number}: {part.type} takes some {size * seconds * float(speed) / METRE:.1f} m, found "
+                f"{size * float(length) / METRE:.1f} m, in which it may not be shown"
             )
     return lines
 
 
-def hurried_keys(model: MotionModel, parts: Sequence[TypePart], keys: Sequence[Key]) -> list[str]:
-    """A line for each key that asks the gait before it for more speed than its recordings have."""
+def hurried_keys(
+    model: MotionModel,
+    parts: Sequence[TypePart],
+    keys: Sequence[Key],
+    start: Array | None = ORIGIN,
+    size: float = 1.0,
+) -> list[str]:
+    """A line for each key that asks the gait before it for more speed than its recordings have.
+
+    start is the place (2,) in cm of the body before the first frame; None if it is not known.
+    """
     ends = np.cumsum([part.seconds for part in parts])
     lines = []
-    for before, key in pairwise([Key(0.0, position=ORIGIN), *(key for key in keys if key.goal is not None)]):
+    first = [] if start is None else [Key(0.0, position=start)]
+    for before, key in pairwise([*first, *(key for key in keys if key.goal is not None)]):
         kind = parts[min(int(np.searchsorted(ends, key.seconds)), len(parts) - 1)].type
         span = model.speed_range(kind) if model.kind(kind) is MotionKind.GAIT else None
         assert key.goal is not None and before.goal is not None
         speed = float(np.linalg.norm(key.goal - before.goal)) / (key.seconds - before.seconds)
         if span is not None and speed > span[1] * (1.0 + SOME):
-            asked = f"the key at {key.seconds:g} s asks {kind} for {speed / METRE:.2f} m/s"
-            lines.append(f"{asked}: {_recorded(model, kind)}")
+            asked = f"the key at {key.seconds:g} s asks {kind} for {size * speed / METRE:.2f} m/s"
+            lines.append(f"{asked}: {_recorded(model, kind, size)}")
     return lines
 
 
-def check_speeds(model: MotionModel, path: Path2D) -> None:
+def check_speeds(model: MotionModel, path: Path2D, size: float = 1.0) -> None:
     """Raise ControlError for the first part whose requested speed is outside its recorded range."""
     for number, kind, requested, _ in _changed(model, path):
         raise ControlError(
-            f"part {number}: expected a speed at which {kind} looks right, {_recorded(model, kind)}, "
-            f"found {requested / METRE:g} m/s"
+            f"part {number}: expected a speed at which {kind} looks right, {_recorded(model, kind, size)}, "
+            f"found {size * requested / METRE:g} m/s"
         )
 
 
@@ -116,11 +130,11 @@ def _changed(model: MotionModel, path: Path2D) -> Iterator[tuple[int, str, float
             yield number, part.type, requested, float(gone)
 
 
-def _recorded(model: MotionModel, kind: str) -> str:
+def _recorded(model: MotionModel, kind: str, size: float) -> str:
     span = model.speed_range(kind)
     if span is None:
-        return f"at least {PROFILE.slowest / METRE:g} m/s on a path"
-    return f"{span[0] / METRE:.2f} to {span[1] / METRE:.2f} m/s by its recordings"
+        return f"at least {size * PROFILE.slowest / METRE:g} m/s on a path"
+    return f"{size * span[0] / METRE:.2f} to {size * span[1] / METRE:.2f} m/s by its recordings"
 
 
 def lateral_limit(model: MotionModel, kind: str) -> float:

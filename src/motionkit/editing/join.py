@@ -34,7 +34,7 @@ from motionkit.rig.names import map_rig
 from motionkit.rig.on_rig import on_the_floor
 from motionkit.rig.retarget import retarget
 from motionkit.rig.rig import Rig, make_rig
-from motionkit.rig.units import guess_scale
+from motionkit.rig.units import rig_unit
 from motionkit.rig.up_axis import up_name
 from motionkit.rig.upright import Upright
 
@@ -176,7 +176,7 @@ def _on_one_rig(motions: Sequence[Motion], rig: Rig | None, names: Sequence[str]
     target = Upright.of(motions[0])
     if rig is not None:
         with as_found():
-            scale = guess_scale(rig.leg, rig.skeleton.cm)[0]
+            scale = rig_unit(rig.skeleton, rig.leg)[0]
         if _same(target.motion.skeleton, rig.skeleton.scaled(scale)):
             target = replace(target, scale=scale, up=rig.up, rig=rig.skeleton)
         else:

@@ -13,7 +13,8 @@ from pathlib import Path
 from motionkit.errors import MotionkitError
 from motionkit.export.clip import Clip, check_numbers
 from motionkit.motion.motion import Motion
-from motionkit.reading import user_cm
+from motionkit.names import visible
+from motionkit.reading import ALL, report_notes, user_animation, user_cm
 
 # Ending -> module of this package and function in it.
 WRITERS: dict[str, str] = {
@@ -105,6 +106,9 @@ def _read_joints(path: str | Path) -> Clip:
     from motionkit.rig.read_file import read_file
 
     bvh = read_file(path)
+    name = user_animation()
+    if name not in (None, ALL):
+        report_notes(path, (f"its only motion, for its format has none called {visible(str(name))}",))
     clip = Clip(bvh_to_motion(bvh), Path(path).stem, channels=bvh.channels, hierarchy=bvh.hierarchy)
     return clip.with_motion(clip.motion)
 

@@ -110,16 +110,24 @@ def motion_unit(motion: Motion) -> tuple[float, str]:
     if cm is not None:
         return cm, BY_USER
     leg, stated = rig_leg(usual_skeleton(motion)), motion.skeleton.cm
-    canonical = set(motion.skeleton.names) == set(JOINT_NAMES)
-    if stated is None and canonical and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
-        return 1.0, "centimetres"
     if leg > 0.0:
-        return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG), stated)
+        return rig_unit(motion.skeleton, leg)
     if stated is not None:
         return _as_stated(stated)
     if _chain_stature(motion) <= METRES_UP_TO:
         return 100.0, "no human rig; taken as metres"
     return 1.0, "no human rig; taken as centimetres"
+
+
+def rig_unit(skeleton: Skeleton, leg: float) -> tuple[float, str]:
+    """Detect cm per unit of a human rig by its leg in that unit; also returns how it was determined.
+
+    A rig with the canonical joints is in cm if its legs have a plausible length.
+    """
+    canonical = set(skeleton.names) == set(JOINT_NAMES)
+    if skeleton.cm is None and canonical and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
+        return 1.0, "centimetres"
+    return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG), skeleton.cm)
 
 
 def usual_skeleton(motion: Motion) -> Skeleton:
