@@ -166,7 +166,7 @@ def test_what_cannot_be_learnt_is_told_before_training(motionkit, clips: Path, t
     (tmp_path / "short").mkdir()
     write_bvh(tmp_path / "short" / "a.bvh", make_walk(18))
     said = motionkit("quickstart", "short")
-    assert said.failed_with("no type can be learnt; a: ", "too short, at most 0.33 s, and 0.4 s are needed")
+    assert said.failed_with("no type can be learnt; a: ", "too short, at most 0.3 s, and 0.4 s are needed")
     write_bvh(tmp_path / "short" / "a.bvh", make_walk(10))
     assert motionkit("quickstart", "short").failed_with("none of the 1 files can be used")
     table = clips / "labels.csv"
