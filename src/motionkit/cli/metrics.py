@@ -35,7 +35,7 @@ from motionkit.names import visible
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from motionkit.metrics.pairs import PairResult
+    from motionkit.metrics.pairs import MeanRow, PairResult
     from motionkit.metrics.report import MetricReport, MetricRow
 
 LISTED_FILES = 60  # rows of the table of pairs
@@ -237,7 +237,7 @@ def _tell_many(
 
     folder is that of the measured files, if they are in one.
     """
-    from motionkit.metrics.pairs import csv_text, names_of_pairs, pairs_as_dict
+    from motionkit.metrics.pairs import csv_text, mean_rows, names_of_pairs, pairs_as_dict
 
     if as_json:
         print_json(pairs_as_dict(results, sets) | {"without_partner": lonely})
@@ -245,10 +245,10 @@ def _tell_many(
         click.echo(csv_text(results, sets), nl=False)
     else:
         measured = [result for result in results if result.report]
-        names = names_of_pairs(measured, folder)
-        for line in _tables(measured, names, sets):
+        names, means = names_of_pairs(measured, folder), mean_rows(measured)
+        for line in _tables(measured, names, means, sets):
             stdout_console().print(line)
-        for line in _remarks(measured, names, sets):
+        for line in _remarks(measured, names, means, sets):
             stdout_console().print(f"note: {line}")
     failed = [result for result in results if result.report is None]
     faults = [(str(result.ground_truth), result.error) for result in failed]
@@ -262,24 +262,25 @@ def _tell_many(
 
 
 def _remarks(
-    measured: Sequence[PairResult], names: Sequence[str], sets: Sequence[MetricRow]
+    measured: Sequence[PairResult],
+    names: Sequence[str],
+    means: Sequence[MeanRow],
+    sets: Sequence[MetricRow],
 ) -> Iterator[str]:
     """The notes on every pair, then the reason of every value that is missing in the tables."""
-    from motionkit.metrics.pairs import mean_rows
-
     reports = [(r.name, name, r.report) for r, name in zip(measured, names, strict=True) if r.report]
     notes = [
         (name, f"{name}: {note.removeprefix(f'{file}: ')}")
         for file, name, report in reports
         for note in report.notes
     ]
-    reasons = [(name, f"{name}: {reason}") for _, name, report in reports for reason in report.reasons()]
+    reasons = [(name, reason) for _, name, report in reports for reason in report.reasons()]
     # Two lists, because each has few lines: reasons among the notes would leave no room for these.
     yield from lines_of_files(notes)
-    yield from lines_of_files(reasons)
-    said = {reason for *_, report in reports for reason in report.reasons()}
+    yield from lines_of_files([(name, f"{name}: {reason}") for name, reason in reasons])
+    said = {reason for _, reason in reasons}
     missing: dict[str, list[str]] = {}
-    for row in mean_rows(measured):
+    for row in means:
         if row.reason and f"{row.id}: {row.reason}" not in said:
             missing.setdefault(f"no mean, because {row.reason}", []).append(row.id)
     for one in sets:
@@ -289,11 +290,13 @@ def _remarks(
 
 
 def _tables(
-    measured: Sequence[PairResult], names: Sequence[str], sets: Sequence[MetricRow]
+    measured: Sequence[PairResult],
+    names: Sequence[str],
+    means: Sequence[MeanRow],
+    sets: Sequence[MetricRow],
 ) -> Iterator[str | Table]:
     """Selected metrics of every pair, by its name, then means of all metrics, then the set metrics."""
     from motionkit.cli.console import make_table
-    from motionkit.metrics.pairs import mean_rows
 
     if not measured:
         return
@@ -317,7 +320,7 @@ def _tables(
         "unit",
     ]
     rows = []
-    for row in mean_rows(measured):
+    for row in means:
         truth = [_number(row.ground_truth)] if paired else []
         rows.append((row.id, *truth, *map(_number, (row.value, row.lowest, row.highest)), row.unit))
     yield make_table(columns, rows, (0, len(columns) - 1))

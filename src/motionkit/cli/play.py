@@ -128,8 +128,9 @@ def command(
     Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). With --rig,
     characters have the body of that file, and recordings and TCP frames are on its joints. Ctrl-C stops the server.
     """
-    avatar = None if choice.rig is None else choice.rig.character
-    if listening.recording_format == "vrm" and (avatar is None or not avatar.humanoid):
+    from motionkit.play.recording import holds
+
+    if not holds(listening.recording_format, choice.rig):
         raise click.UsageError("--format vrm takes an avatar: give one with --rig avatar.vrm")
     try:
         import websockets  # noqa: F401

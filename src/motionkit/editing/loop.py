@@ -165,10 +165,9 @@ def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = 
     closed = _repeated(_closed(upright, start, end), times)
     if from_origin:
         closed = at_origin(closed, cyclic=True)
-    velocities = _velocities(upright)
-    usual = np.median(velocities, axis=0)
+    usual = np.median(upright.velocities, axis=0)
     travels = float(np.linalg.norm(usual)) > STANDING_SPEED  # else strikes and jumps would be far from it
-    at_pace = not travels or bool(_near_pace(velocities[start:end].mean(axis=0), usual))
+    at_pace = not travels or bool(_near_pace(upright.velocities[start:end].mean(axis=0), usual))
     return Loop(upright.back(closed), start, end, seam(closed), difference, times, at_pace)
 
 
@@ -322,7 +321,7 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
     stretches = -(-len(motion) // round(max(STRETCH, 4.0 * (seconds or 0.0)) * motion.fps))
     if stretches <= 1:
         return _found(upright, seconds)
-    usual = np.median(_velocities(upright), axis=0)
+    usual = np.median(upright.velocities, axis=0)
     found, faults = [], set[str]()
     for frames in np.array_split(np.arange(len(motion)), stretches):
         first = int(frames[0])
@@ -332,7 +331,7 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
         except MotionkitError as error:
             faults.add(str(error))
             continue
-        other_pace = not _near_pace(_velocities(part)[start : end + 1].mean(axis=0), usual)
+        other_pace = not _near_pace(part.velocities[start : end + 1].mean(axis=0), usual)
         found.append((other_pace, difference, first + start, first + end))
     if not found:
         words = f"the clip never repeats within {len(motion) / stretches / motion.fps:.0f} s"
@@ -364,7 +363,7 @@ def _found(upright: Upright, seconds: float | None) -> tuple[int, int, float]:
             "the clip never repeats: no two frames have the same facing and enough movement between them"
         )
     limit = min(max(MOST_SHARE * usual, LEAST_LIMIT), MOST_LIMIT)
-    usual_pace = pairs & _at_its_pace(upright, every, np.median(_velocities(upright), axis=0))
+    usual_pace = pairs & _at_its_pace(upright, every)
     pairs = usual_pace if bool((apart[usual_pace] <= limit).any()) else pairs
     apart = np.where(pairs, apart, np.inf)
     a, b = (
@@ -404,7 +403,7 @@ def pose_rows(upright: Upright) -> Array:
     parts = [
         poses.reshape(frames, -1) / np.sqrt(joints),
         VELOCITY_SECONDS * speeds.reshape(frames, -1) / np.sqrt(joints),
-        VELOCITY_SECONDS * _velocities(upright),
+        VELOCITY_SECONDS * upright.velocities,
         CONTACT_CM / 2.0 * upright.contacts,
     ]
     return np.concatenate(parts, axis=1)
@@ -429,17 +428,11 @@ def _reach(apart: Array) -> Array:
     return np.asarray(np.maximum.accumulate(np.triu(apart), axis=1))
 
 
-def _velocities(upright: Upright) -> Array:
-    """Velocities (T, 2) over the ground in the heading frame, in cm/s."""
-    track = upright.positions[:, 0, [0, 2]].astype(np.float64)
-    return rotate_ground(-upright.heading.astype(np.float64), np.gradient(track, axis=0)) * upright.motion.fps
-
-
-def _at_its_pace(upright: Upright, every: Array, usual: Array) -> Array:
-    """Which pairs of frames (N, N) enclose motion at about a usual velocity (2,), as of _velocities."""
-    way = np.cumsum(_velocities(upright), axis=0)[every]
+def _at_its_pace(upright: Upright, every: Array) -> Array:
+    """Which pairs of frames (N, N) enclose motion at about the clip's median velocity."""
+    way = np.cumsum(upright.velocities, axis=0)[every]
     lengths = np.maximum(every[None, :] - every[:, None], 1)[..., None]
-    return _near_pace((way[None, :] - way[:, None]) / lengths, usual)
+    return _near_pace((way[None, :] - way[:, None]) / lengths, np.median(upright.velocities, axis=0))
 
 
 def _near_pace(velocities: Array, usual: Array) -> Array:

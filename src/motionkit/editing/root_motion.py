@@ -112,11 +112,8 @@ def root_bone(skeleton: Skeleton) -> int | None:
     name = skeleton.names[0].rpartition(":")[2].rpartition("|")[2].strip("_ ").lower()
     if name not in _ROOT_BONES:
         return None
-    sizes = {
-        child: sum(skeleton.descends(joint, child) for joint in range(len(skeleton)))
-        for child in skeleton.children(0)
-    }
-    child = max(sizes, key=sizes.__getitem__, default=None)
+    sizes = skeleton.branch_sizes()
+    child = max(skeleton.children(0), key=sizes.__getitem__, default=None)
     if child is None or 2 * sizes[child] <= len(skeleton):
         return None
     try:

@@ -45,6 +45,14 @@ class Skeleton:
         """Indices of the joint's children."""
         return [j for j, parent in enumerate(self.parents) if parent == joint]
 
+    def branch_sizes(self) -> list[int]:
+        """How many joints are below each joint, itself included."""
+        sizes = [1] * len(self.parents)
+        for joint in range(len(sizes) - 1, 0, -1):
+            if self.parents[joint] >= 0:
+                sizes[self.parents[joint]] += sizes[joint]
+        return sizes
+
     def descends(self, joint: int, above: int) -> bool:
         """Whether a joint descends from the joint `above`, or is the same."""
         while joint > above:

@@ -15,7 +15,7 @@ from motionkit.play.frames import CharacterState, WorldFrame, frame_bytes, frame
 from motionkit.play.limits import Limits
 from motionkit.play.on_rig import LiveRig
 from motionkit.play.pace import Pacer
-from motionkit.play.recording import Recordings, file_bytes
+from motionkit.play.recording import Recordings, file_bytes, holds
 from motionkit.play.requests import ProtocolError, Request, parse_request
 from motionkit.play.session import Recorded, Session
 from motionkit.rig.rig import Rig
@@ -66,8 +66,7 @@ class RecordingWriter:
 
     def check(self, format: str | None) -> None:
         """Raise ControlError for a format that recordings on this rig cannot have; None is the usual one."""
-        character = None if self._rig[0] is None else self._rig[0].character
-        if format == "vrm" and (character is None or not character.humanoid):
+        if not holds(format, self._rig[0]):
             raise ControlError(
                 "the format vrm takes an avatar; motionkit play has none without --rig avatar.vrm"
             )

@@ -57,6 +57,12 @@ class Recorder:
         return Motion(self.skeleton, rotations, values[:, -3:], self.fps)
 
 
+def holds(format: str | None, rig: Rig | None) -> bool:
+    """Whether recordings on a rig can have a format, None for the usual one: a .vrm is an avatar."""
+    avatar = None if rig is None else rig.character
+    return format != "vrm" or (avatar is not None and bool(avatar.humanoid))
+
+
 def file_bytes(
     motion: Motion, rig: Rig | None = None, clip: Motion | None = None, format: str = "bvh"
 ) -> bytes:

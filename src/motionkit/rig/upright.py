@@ -14,7 +14,14 @@ from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.floor import TOE_HEIGHT, TOES, floor_shift
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_from_yaw, quat_identity, quat_inverse, quat_multiply, quat_rotate
+from motionkit.motion.rotations import (
+    quat_from_yaw,
+    quat_identity,
+    quat_inverse,
+    quat_multiply,
+    quat_rotate,
+    rotate_ground,
+)
 from motionkit.motion.skeleton import Skeleton
 from motionkit.names import counted
 from motionkit.reading import reading
@@ -161,6 +168,12 @@ class Upright:
         return quat_rotate(quat_from_yaw(-self.heading)[:, None], self.positions - place)
 
     @cached_property
+    def velocities(self) -> Array:
+        """Velocities (T, 2) of the root over the ground in cm/s in the heading frame."""
+        track = self.positions[:, 0, [0, 2]].astype(np.float64)
+        return rotate_ground(-self.heading.astype(np.float64), np.gradient(track, axis=0)) * self.motion.fps
+
+    @cached_property
     def contacts(self) -> Array:
         """Contacts (T, 4) of left foot, left toe, right foot, right toe; (T, 0) for rigs that are not human."""
         if self.canonical is None:
@@ -197,13 +210,15 @@ def _carried_by_root(motion: Motion) -> Motion:
     places = motion.local_positions
     if places is None or _range(motion.root_positions) > STILL_ROOT:
         return motion
-    skeleton, chain = motion.skeleton, [0]
+    skeleton, chain, turns = motion.skeleton, [0], motion.local_rotations[:, 0]
+    sizes = skeleton.branch_sizes()
     while below := skeleton.children(chain[-1]):
-        joint = max(below, key=lambda each: sum(skeleton.descends(j, each) for j in range(len(skeleton))))
+        joint = max(below, key=sizes.__getitem__)
         moved = places[:, joint] - skeleton.offsets[joint]
-        if _range(quat_rotate(_turned_by(motion, chain), moved)) >= MOVING_HIPS:
+        if _range(quat_rotate(turns, moved)) >= MOVING_HIPS:
             break
         chain.append(joint)
+        turns = quat_multiply(turns, motion.local_rotations[:, joint])
     else:
         return motion
     places = places.copy()
@@ -217,14 +232,6 @@ def _carried_by_root(motion: Motion) -> Motion:
     roots = motion.root_positions + moved
     places[:, 0] = roots
     return replace(motion, root_positions=roots, local_positions=places)
-
-
-def _turned_by(motion: Motion, chain: list[int]) -> Array:
-    """The global rotations (T, 4) of the last joint of a chain from the root."""
-    turns = motion.local_rotations[:, 0]
-    for joint in chain[1:]:
-        turns = quat_multiply(turns, motion.local_rotations[:, joint])
-    return turns
 
 
 def _range(places: Array) -> float:
