@@ -120,7 +120,8 @@ def quickstart(
 
     Raises:
         OverwriteError: a model exists and neither force nor resume is set; a file is in the way that motionkit did
-            not write; output is inside data; or a run that was begun without add is resumed with it.
+            not write; output is inside data; or a run is resumed with add, another seed or without mirror images
+            although it was begun otherwise.
         MotionkitError: torch is not installed, no type can be learnt, or another process makes the model.
         QuickstartStopped: Ctrl-C.
     """
@@ -139,6 +140,8 @@ def _quickstart(data: Path, target: Path, options: QuickstartOptions, watcher: W
     try:
         dataset = _made_dataset(target) if options.resume else None
         if dataset is not None:
+            if not options.mirror and any(clip.mirrored for clip in dataset.clips):
+                raise OverwriteError(f"--no-mirror: {target} was begun without it; begin anew with --force")
             _tell_changed(data, target, watcher)
         else:
             _look(data, watcher)
@@ -214,8 +217,9 @@ def _tell_changed(data: Path, target: Path, watcher: Watcher) -> None:
     from motionkit.rig.read_file import ENDINGS
 
     made = (target / DATASET / MANIFEST).stat().st_mtime
-    tables = [path for path in files_below(data, ".csv") if path.name == "labels.csv"]
-    newer = [path for path in [*tables, *files_below(data, ENDINGS)] if path.stat().st_mtime > made]
+    read = files_below(data, (".csv", *ENDINGS))
+    read = [path for path in read if path.suffix.lower() != ".csv" or path.name == "labels.csv"]
+    newer = [path for path in read if path.stat().st_mtime > made]
     if newer:
         more = f" and {len(newer) - 1} more are" if len(newer) > 1 else " is"
         watcher.tell(
@@ -301,6 +305,9 @@ def _training_options(target: Path, options: QuickstartOptions) -> TrainOptions:
     kept_share = KEPT_SHARE if options.add else None
     if options.resume and _checkpoint(target).exists():
         earlier = run_options(_checkpoint(target))
+        if options.seed not in (QuickstartOptions.seed, earlier["seed"]):
+            begun_with = f"{target} was begun with --seed {earlier['seed']}"
+            raise OverwriteError(f"--seed {options.seed}: {begun_with}; begin anew with --force")
         seed, kept_share = earlier["seed"], earlier["sampler.kept_share"] or None
         if options.add and kept_share is None:
             raise OverwriteError(f"--add: {target} was begun without it; begin anew with --force")

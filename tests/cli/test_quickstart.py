@@ -111,7 +111,9 @@ def test_it_goes_on_wherever_it_stopped(motionkit, clips: Path, tmp_path: Path, 
     assert said.code == 0 and "types work; wrote" in said.out
     assert {"motions.html", "motions.png", "verdict.md"} <= {path.name for path in target.iterdir()}
     assert steps == [1, 2] and load_model(target / "model.safetensors").card["steps"] == 2
-    assert motionkit(*words[:-1], "--add", "--resume").code == 2, "begun without --add"
+    for other in (["--add"], ["--seed", "7"], ["--no-mirror"]):
+        said = motionkit(*words[:-1], *other, "--resume")
+        assert said.code == 2 and "was begun with" in said.err, other
 
 
 @pytest.mark.usefixtures("brief")
