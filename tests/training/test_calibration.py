@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from motionkit.data.dataset import Dataset
+from motionkit.metrics.body import Body, body_of
 from motionkit.models.checkpoint import load_model, save_model
 from motionkit.models.model import MotionModel
 from motionkit.training import calibration
@@ -24,6 +25,8 @@ from motionkit.training.calibration import (
     with_presets,
 )
 from motionkit.training.trainer import train
+from motionkit.training.verdict.judge import Judge
+from motionkit.training.verdict.real import RealMotion
 from synthetic_motions import make_walk
 
 RECORDED = Movement(2.0, 50.0, 0.5, 0.1)
@@ -42,6 +45,7 @@ RECORDED = Movement(2.0, 50.0, 0.5, 0.1)
         (Movement(2.0, 50.0, 0.5, 0.12), 0.0),
         (Movement(2.0, 50.0, 0.5, 0.29), math.log(2.0)),
         (Movement(4.0, 50.0, 0.5, 0.1), math.log(2.0)),  # too fast is as bad as too slow
+        (Movement(2.0, 50.0, 0.5, 0.1, 0.475), math.log(2.0)),  # half of the roll-outs do not show the type
         (Movement(1.0, 120.0, 0.1, 0.1), 1.25 * math.log(2.0) + math.log(2.4 / 1.4) + math.log(5.5 / 1.5)),
     ],
 )
@@ -64,11 +68,12 @@ def test_the_gain_nearest_to_one_that_is_nearly_the_best(costs: tuple[float, ...
 
 def test_the_manner_of_a_motion() -> None:
     walk = make_walk(120)
-    found, faster = movement_of(walk), movement_of(replace(walk, fps=2.0 * walk.fps))
+    found, faster = movement_of(body_of(walk)), movement_of(body_of(replace(walk, fps=2.0 * walk.fps)))
     assert 0.1 < found.planted <= 1.0 and found.speed > 0.1
     assert faster.speed == pytest.approx(2.0 * found.speed) and faster.jerk == pytest.approx(8.0 * found.jerk)
     lifted = replace(walk, root_positions=walk.root_positions + np.float32([0.0, 50.0, 0.0]))
-    assert movement_of(lifted).planted == 0.0 < 0.9 < movement_of(lifted).hovering
+    above = movement_of(body_of(lifted))
+    assert above.planted == 0.0 < 0.9 < above.hovering
 
 
 def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
@@ -76,11 +81,11 @@ def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
 ) -> None:
     """Roll-outs whose speed is half of the recorded one times their gain, and that are planted as long."""
     kinds = list(tiny_model.types)
-    recorded = recorded_movements(dataset, kinds)
+    recorded = recorded_movements(RealMotion(dataset, "train"), kinds)
     assert recorded["running"].speed > recorded["walking"].speed > 2.0 * recorded["idle"].speed
     assert recorded["running"].planted < recorded["walking"].planted
 
-    def made(model: MotionModel, moved: list[str], frames: int) -> dict[str, Movement]:
+    def made(model: MotionModel, moved: list[str], frames: int, judge: Judge) -> dict[str, Movement]:
         return {
             kind: Movement(
                 0.5 * model.types[kind].preset.reference_gain * recorded[kind].speed,
@@ -108,8 +113,28 @@ def test_roll_outs_depend_on_the_gain(
     louder = with_presets(tiny_model, "reference_gain", {"cartwheel": 2.0})
     assert louder.types["cartwheel"].preset.reference_gain == 2.0
     assert louder.types["walking"].preset == tiny_model.types["walking"].preset
-    soft, loud = (made_movements(model, ["cartwheel"], 20) for model in (tiny_model, louder))
+    judge = Judge(RealMotion(dataset, "train"))
+    soft, loud = (made_movements(model, ["cartwheel"], 20, judge) for model in (tiny_model, louder))
     assert soft["cartwheel"] != loud["cartwheel"]
+
+
+def test_a_type_that_is_not_shown_costs(
+    tiny_model: MotionModel, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every third roll-out is judged to show its type; without a judgement all count as shown."""
+    monkeypatch.setattr(calibration, "REPEATS", 3)
+    judge, asked = Judge(RealMotion(dataset, "train")), []
+
+    def performs(kind: str, body: Body) -> bool:
+        asked.append((kind, len(body)))
+        return len(asked) == 1
+
+    monkeypatch.setattr(judge, "knows", lambda kind: kind == "walking")
+    monkeypatch.setattr(judge, "performs", performs)
+    found = made_movements(tiny_model, ["walking", "cartwheel"], 20, judge)
+    assert found["walking"].shown == pytest.approx(1 / 3) and found["cartwheel"].shown == 1.0
+    seconds = calibration.CHANGE + 20 / tiny_model.fps
+    assert asked == [("walking", round(seconds * tiny_model.fps))] * 3
 
 
 def test_a_model_without_references_has_nothing_to_find(tiny_model: MotionModel, dataset: Dataset) -> None:
@@ -128,9 +153,9 @@ def test_types_that_noise_alone_moves_get_as_much_as_moves_them_as_recorded(
 ) -> None:
     """Roll-outs whose speed is the recorded one times their noise, without references."""
     model = moved_by_noise(tiny_model)
-    recorded = recorded_movements(dataset, ["walking"])["walking"]
+    recorded = recorded_movements(RealMotion(dataset, "train"), ["walking"])["walking"]
 
-    def made(alone: MotionModel, moved: list[str], frames: int) -> dict[str, Movement]:
+    def made(alone: MotionModel, moved: list[str], frames: int, judge: Judge) -> dict[str, Movement]:
         assert not alone.uses_references and moved == ["walking"]
         noise = alone.types["walking"].preset.noise_scale
         return {"walking": replace(recorded, speed=noise / 1.2 * recorded.speed)}

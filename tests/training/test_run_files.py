@@ -223,6 +223,7 @@ def test_tensors_of_a_checkpoint(
         ({"step": "one"}, "step is 'one'"),
         ({"step": -1}, "step is -1"),
         ({"seconds": None}, "seconds is None"),
+        ({"cycles": -1}, "cycles is -1"),
         ({"options": [1]}, "options is [1], expected an object"),
         ({"options": {"batch": [[]]}}, "started with optimizer.batch [[]] (now 4)"),
         ({"options": {"optimizer": {"rate": 0.5}}}, "started with optimizer.rate 0.5 (now 0.001)"),
@@ -246,6 +247,15 @@ def test_facts_of_a_checkpoint(
         facts |= change
 
     assert complaint in _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil, method="adamw")
+
+
+def test_ends_of_cycles_must_be_there(
+    dataset_folder: Path, finished_run: Path, tmp_path: Path, tiny_options
+) -> None:
+    def spoil(tensors: dict[str, torch.Tensor], facts: dict[str, Any]) -> None:
+        facts["cycles"] = 1
+
+    assert "tensor 'ends." in _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil)
 
 
 def test_a_run_goes_on_with_features_of_the_same_references(

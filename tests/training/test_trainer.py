@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import load_file
 from safetensors.torch import save_file
 
 from motionkit.data.dataset import Dataset
@@ -41,6 +42,12 @@ def losses_of(model: Path) -> list[dict[str, float]]:
 
 def weights_of(model: Path) -> dict[str, np.ndarray]:
     return load_model(model).network.arrays
+
+
+def averages_of(model: Path) -> dict[str, np.ndarray]:
+    """The running average in the checkpoint of a run."""
+    tensors = load_file(model.with_suffix(".run") / "checkpoint.safetensors")
+    return {name[len("average.") :]: value for name, value in tensors.items() if name.startswith("average.")}
 
 
 def same_weights(a: Path, b: Path) -> bool:
@@ -238,9 +245,15 @@ def test_a_finished_run_goes_on_with_another_cycle(
     two = tiny_options(steps=10, period=3, stages=stages, cycles=2)
     train(dataset_folder, whole, two, device="cpu")
     train(dataset_folder, later, tiny_options(steps=5, period=3, stages=stages), device="cpu")
-    train(dataset_folder, later, two, resume=True, device="cpu")
+    first = averages_of(later)
+    train(dataset_folder, later, two, device="cpu", resume=True, on_event=stop_after(7))
+    train(dataset_folder, later, two, device="cpu", resume=True)
     assert losses_of(later) == losses_of(whole)
     assert same_weights(whole, later)
+    second, made = averages_of(later), weights_of(later)
+    for name, value in first.items():
+        assert np.allclose(made[name], (value + second[name]) / 2.0, atol=1e-7), name
+    assert any(np.abs(value - second[name]).max() > 1e-4 for name, value in first.items())
 
 
 def test_a_run_can_start_from_a_model(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:

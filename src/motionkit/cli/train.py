@@ -158,7 +158,7 @@ class Run:
 @click.option(
     "--cycles",
     type=click.IntRange(1, 100),
-    help="Times that the learning rate falls from its peak; 1 by default. Later cycles are in the last stage.",
+    help="Times that the learning rate falls from its peak; 1 by default. The model is the mean of their ends.",
 )
 @click.option(
     "--optimizer",

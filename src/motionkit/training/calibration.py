@@ -1,7 +1,8 @@
 """Calibrates sampling presets on roll-outs, so that each type moves as recorded.
 
 Reference gain: a network makes smaller movements than its reference poses show, by an amount that depends on the type
-and on the length of training. A gain makes up for it. Too large a gain makes the motion jerk and lifts the feet.
+and on the length of training. A gain makes up for it. Too large a gain makes the motion jerk and lifts the feet. With
+one that does not suit, a type may not be shown at all: a handspring stays a jump.
 
 Noise without references: a dance has neither a trajectory nor a phase to keep it moving. With too little noise it comes
 to rest in its mean pose, with too much it shakes.
@@ -10,7 +11,7 @@ to rest in its mean pose, with too much it shakes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
@@ -18,14 +19,12 @@ import numpy as np
 from motionkit.control.steering import NEUTRAL_SECONDS, commanded
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
-from motionkit.data.phases import type_stretches
-from motionkit.metrics.body_movement import angular_speed
+from motionkit.metrics.body import Body, body_of
 from motionkit.metrics.smoothness import mean_jerk
 from motionkit.metrics.touch import hover_share, planted_share
 from motionkit.models.model import MotionModel
-from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.motion import Motion
-from motionkit.motion.skeleton import JOINT_COUNT
+from motionkit.training.verdict.judge import Judge
+from motionkit.training.verdict.real import RealMotion
 
 # Reference gains to try. Some types shake less and stand more firmly with gains below 1.
 GAINS = (0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 2.25, 2.5)
@@ -36,13 +35,13 @@ TOGETHER = 128  # roll-outs that run at once
 # Seconds that a roll-out takes from standing or walking to its type, which are not measured. Roll-outs start like this
 # because a roll-out from the type's own start pose moves more.
 CHANGE = 1.0
-LEAST_FRAMES = 8  # shortest recorded stretch that is measured
+LEAST_FRAMES = 8  # shortest roll-out that can be measured
 JERK = 1.2  # jerk over recorded jerk that costs nothing: networks shake a little at any gain
 JERK_WEIGHT = 0.25  # weight of jerk above JERK
 # Jerk over recorded jerk above which jerk costs extra, with weight 1. The scoreboard allows 1.5 in a minute.
 MOST_JERK = 1.4
 JERK_OF_NOISE = 1.0  # JERK_WEIGHT for the calibration of noise
-SELDOM = 0.05  # added to shares of time before their ratio, so that small shares matter little
+SELDOM = 0.05  # added to shares before their ratio, so that small shares matter little
 # Share of time that a motion may hover beyond the recorded share without cost, as in the scoreboard's target.
 HOVERING = 0.02
 NEARLY = 0.03  # of gains whose cost is at most this much above the lowest, the one nearest to 1 wins
@@ -56,32 +55,35 @@ class Movement:
         speed: mean angular speed of the joints in rad/s.
         planted: share of time in which a toe is planted.
         hovering: share of time in which nothing touches the ground and the body does not fall freely.
+        shown: share of roll-outs that show their type; 1 where that cannot be judged.
     """
 
     speed: float
     jerk: float
     planted: float
     hovering: float
+    shown: float = 1.0
 
     def cost(self, recorded: Movement, jerk_weight: float = JERK_WEIGHT) -> float:
         """Distance from the measures of a recorded motion, as a sum of logarithms of ratios.
 
-        Speed and planted time count in both directions, hovering and jerk only where there is more. Jerk has a small
-        weight by default, because smoothed recordings have hardly any.
+        Speed and planted time count in both directions, hovering and jerk only where there is more, and showing the
+        type only where it is seldom. Jerk has a small weight by default, because smoothed recordings have hardly any.
         """
         faster, shakier = (
             math.log(max(made, 1e-3) / max(real, 1e-3))
             for made, real in ((self.speed, recorded.speed), (self.jerk, recorded.jerk))
         )
-        longer, higher = (
+        longer, higher, rarer = (
             math.log((made + SELDOM) / (real + SELDOM))
             for made, real in (
                 (self.planted, recorded.planted),
                 (self.hovering, recorded.hovering + HOVERING),
+                (recorded.shown, self.shown),
             )
         )
         shaking = jerk_weight * max(0.0, shakier - math.log(JERK)) + max(0.0, shakier - math.log(MOST_JERK))
-        return abs(faster) + abs(longer) + max(0.0, higher) + shaking
+        return abs(faster) + abs(longer) + max(0.0, higher) + max(0.0, rarer) + shaking
 
 
 def calibrated_gains(
@@ -99,7 +101,7 @@ def calibrated_gains(
         return {}
     moved = [kind for kind, known in model.types.items() if kind in dataset.types and known.reference_clips]
     tried = ("reference_gain", GAINS, JERK_WEIGHT)
-    costs = _costs(model, recorded_movements(dataset, moved), tried, frames, progress)
+    costs = _costs(model, moved, dataset, tried, frames, progress)
     return {kind: _cheapest(GAINS, found) for kind, found in costs.items()}
 
 
@@ -115,23 +117,26 @@ def calibrated_noise(
     alone = model.with_reference("none")
     moved = [kind for kind, known in alone.types.items() if kind in dataset.types and known.moves_by_noise]
     tried = ("noise_scale", NOISES, JERK_OF_NOISE)
-    costs = _costs(alone, recorded_movements(dataset, moved), tried, frames, progress)
+    costs = _costs(alone, moved, dataset, tried, frames, progress)
     return {kind: NOISES[int(np.argmin(found))] for kind, found in costs.items()}
 
 
 def _costs(
     model: MotionModel,
-    real: Mapping[str, Movement],
+    kinds: Sequence[str],
+    dataset: Dataset,
     tried: tuple[str, Sequence[float], float],
     frames: int,
     progress: Callable[[float], None] | None,
 ) -> dict[str, list[float]]:
     """For each recorded type, the costs of its roll-outs with a field of the presets, its values, by a jerk weight."""
     field, values, jerk_weight = tried
+    judge = Judge(RealMotion(dataset, "train"))
+    real = recorded_movements(judge.real, kinds)
     made = []
     for value in values:
         changed = with_presets(model, field, dict.fromkeys(real, value))
-        made.append(made_movements(changed, list(real), frames))
+        made.append(made_movements(changed, list(real), frames, judge))
         if progress:
             progress(len(made) / len(values))
     return {kind: [each[kind].cost(real[kind], jerk_weight) for each in made] for kind in real}
@@ -143,28 +148,19 @@ def with_presets(model: MotionModel, field: str, values: Mapping[str, float]) ->
     return model.with_types({kind: {"preset": preset} for kind, preset in presets.items()})
 
 
-def recorded_movements(dataset: Dataset, kinds: Collection[str]) -> dict[str, Movement]:
-    """Mean measures of each type's training recordings; types without LEAST_FRAMES of them are left out."""
-    found: dict[str, list[tuple[Movement, int]]] = {kind: [] for kind in kinds}
-    for clip in dataset.select("train"):
-        stretches = [
-            (start, end, dataset.types[kind])
-            for start, end, kind in type_stretches(dataset.clip_types(clip))
-            if dataset.types[kind] in found and end - start >= LEAST_FRAMES
-        ]
-        if not stretches:
-            continue
-        motion = dataset.motion(clip, dataset.read(clip))
-        for start, end, kind in stretches:
-            found[kind].append((movement_of(motion.cut(start, end)), end - start))
-    return {kind: _mean(each) for kind, each in found.items() if each}
+def recorded_movements(real: RealMotion, kinds: Iterable[str]) -> dict[str, Movement]:
+    """Mean measures of each type's training recordings; types without any are left out."""
+    bodies = {kind: [stretch.body for stretch in real.of_type(kind, "train")] for kind in kinds}
+    return {kind: _mean([(movement_of(b), len(b)) for b in each]) for kind, each in bodies.items() if each}
 
 
-def made_movements(model: MotionModel, kinds: Sequence[str], frames: int) -> dict[str, Movement]:
+def made_movements(
+    model: MotionModel, kinds: Sequence[str], frames: int, judge: Judge
+) -> dict[str, Movement]:
     """Mean measures of roll-outs of each type over `frames` frames, made as `synthesize` does by default."""
     found: dict[str, list[tuple[Movement, int]]] = {kind: [] for kind in kinds}
     seconds = CHANGE + max(frames, LEAST_FRAMES) / model.fps
-    start = round((NEUTRAL_SECONDS + CHANGE) * model.fps)
+    command, start = round(NEUTRAL_SECONDS * model.fps), round((NEUTRAL_SECONDS + CHANGE) * model.fps)
     # Roll-outs of one type have successive seeds, which draw its recordings evenly.
     each = [kind for kind in found for _ in range(REPEATS)]
     for first in range(0, len(each), TOGETHER):
@@ -173,17 +169,19 @@ def made_movements(model: MotionModel, kinds: Sequence[str], frames: int) -> dic
         plans = [commanded(model, kind, seconds, seed + i) for i, kind in enumerate(some)]
         made = synthesize(model, plans, SynthesisOptions(len(plans), seed)).motions
         for kind, one in zip(some, made, strict=True):
-            motion = one.motion.cut(start, len(one.motion))
-            found[kind].append((movement_of(motion), len(motion)))
+            body = body_of(one.motion)
+            whole, measured = body.cut(command, len(body)), body.cut(start, len(body))
+            shown = float(judge.performs(kind, whole)) if judge.knows(kind) else 1.0
+            found[kind].append((replace(movement_of(measured), shown=shown), len(measured)))
     return {kind: _mean(each) for kind, each in found.items()}
 
 
-def movement_of(motion: Motion) -> Movement:
-    """The measures of a motion of at least LEAST_FRAMES."""
-    positions = motion_kinematics(motion)[1]
+def movement_of(body: Body) -> Movement:
+    """The measures of a motion of at least LEAST_FRAMES, but for whether it shows its type."""
+    positions, fps = body.positions, body.fps
     return Movement(
-        angular_speed(motion.local_rotations, range(1, JOINT_COUNT), motion.fps),
-        mean_jerk(positions, motion.fps, motion.fps).value or 0.0,
+        body.joint_speed(),
+        mean_jerk(positions, fps, fps).value or 0.0,
         planted_share(positions).value or 0.0,
         hover_share(positions).value or 0.0,
     )

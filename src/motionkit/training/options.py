@@ -29,7 +29,9 @@ class OptimizerOptions:
     weight_decay: float = 0.01
     betas: tuple[float, float] = (0.9, 0.98)
     schedule: str = "cosine"  # or "halving": the rate halves at every quarter of the run, as in the paper
-    cycles: int = 1  # times that the rate falls from its peak (warm restarts, Loshchilov and Hutter 2017)
+    # Times that the rate falls from its peak (warm restarts, Loshchilov and Hutter 2017). The model is the mean of the
+    # averages at their ends.
+    cycles: int = 1
     clip_norm: float = 1.0  # largest norm of the gradient
     ema: float = 0.998  # decay per step of the running average that becomes the model
     precision: str = "auto"  # arithmetic of the network: "auto", "float32" or "bfloat16"

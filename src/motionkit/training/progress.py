@@ -30,6 +30,11 @@ class Progress:
         return min(1.0, max(shares))
 
     @property
+    def cycle(self) -> int:
+        """The number of cycles of the learning rate that have ended."""
+        return int(self.options.optimizer.cycles * self.share + 1e-9)
+
+    @property
     def rate(self) -> float:
         """The learning rate of a step: linear warm-up, then in each cycle a cosine down to final_rate times the peak.
 

@@ -31,6 +31,7 @@ MUON = ("momentum",)
 MOST_BYTES = 4 * 2**30
 MOST_STEPS = 10**12  # also the most seconds
 MOST_BLOCK = 1000  # most steps of a block
+MOST_CYCLES = 100
 # Options that a resumed run may change: its length and its outputs.
 # "sampler.splices" stays that of the beginning, as the number depends on the minutes.
 FREE_ON_RESUME = ("steps", "minutes", "optimizer.cycles", "output.", "sampler.splices")
@@ -60,6 +61,7 @@ class Checkpoint:
             "format": FORMAT,
             "step": at.step,
             "seconds": at.seconds,
+            "cycles": learner.ended,
             "losses": at.losses,
             "options": self.options.to_dict(),
             "clips": self.digest,
@@ -67,6 +69,7 @@ class Checkpoint:
         }
         tensors = {f"weights.{n}": t for n, t in learner.module.state_dict().items()}
         tensors.update({f"average.{n}": t for n, t in learner.average.items()})
+        tensors.update({f"ends.{n}": t for n, t in learner.ends_of_cycles.items()})
         owners = _owners(learner)
         for name, p in learner.module.named_parameters():
             for key, value in owners[p].state.get(p, {}).items():
@@ -95,7 +98,7 @@ class Checkpoint:
             self._check_options(flat_options(facts["options"]))
             self.options = with_changes(self.options, {"splices": _taken(path, facts)["sampler.splices"]})
             try:
-                _check_fit(file.found, learner, "block" in facts)
+                _check_fit(file.found, learner, facts)
                 tensors = {name: torch.from_numpy(array) for name, array in file.read_all().items()}
                 _check_numbers(tensors)
             except ModelError as error:
@@ -114,6 +117,7 @@ class Checkpoint:
         _restore(path, tensors, learner)
         at.step, at.seconds = int(facts["step"]), float(facts["seconds"])
         at.losses = facts.get("losses", {})
+        learner.ended = facts.get("cycles", 0)
         block = facts.get("block")
         if block is None:
             return None
@@ -175,6 +179,9 @@ def _restore(path: Path, tensors: dict[str, Tensor], learner: Learner) -> None:
     learner.module.load_state_dict(_under(tensors, "weights."))
     for name, value in _under(tensors, "average.").items():
         learner.average[name].copy_(value)
+    learner.ends_of_cycles = {
+        name: value.to(learner.average[name].device) for name, value in _under(tensors, "ends.").items()
+    }
     owners = _owners(learner)
     for name, p in learner.module.named_parameters():
         optimizer = owners[p]
@@ -203,6 +210,7 @@ def _check_facts(facts: dict[str, Any]) -> None:
     step: Any = facts.get("step")
     check_number("step", step, 0, MOST_STEPS, whole=True)
     check_number("seconds", facts.get("seconds"), 0, MOST_STEPS)
+    check_number("cycles", facts.get("cycles", 0), 0, MOST_CYCLES, whole=True)
     block = facts.get("block")
     if block is not None:
         block = block if isinstance(block, dict) else {}
@@ -216,13 +224,14 @@ def _check_facts(facts: dict[str, Any]) -> None:
         raise ModelError(f"options is {facts.get('options')!r:.60}, expected an object")
 
 
-def _check_fit(found: Mapping[str, TensorFacts], learner: Learner, within_block: bool) -> None:
+def _check_fit(found: Mapping[str, TensorFacts], learner: Learner, facts: Mapping[str, Any]) -> None:
     """Raise ModelError if a file does not have exactly the tensors of this run, with their shapes and types."""
     module, average = learner.module, learner.average
     expected = {f"weights.{name}": tuple(value.shape) for name, value in module.state_dict().items()}
     expected |= {f"average.{name}": tuple(value.shape) for name, value in average.items()}
-    if within_block:
-        expected |= {f"block.{name}": tuple(value.shape) for name, value in average.items()}
+    for kind, there in (("block", "block" in facts), ("ends", facts.get("cycles", 0))):
+        if there:
+            expected |= {f"{kind}.{name}": tuple(value.shape) for name, value in average.items()}
     owners = _owners(learner)
     for name, p in module.named_parameters():
         keys = {key: f"optimizer.{key}.{name}" for key in _kept(owners[p])}

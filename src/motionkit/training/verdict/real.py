@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
+from motionkit.data.labels import SPLITS
 from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError
 from motionkit.metrics.body import Body, body_of
@@ -18,6 +20,8 @@ from motionkit.training.verdict.extents import EXTENT_SECONDS, Extent, extents_o
 
 SHORTEST = 24  # frames; stretches below 0.4 s are left out
 BANK_EVERY = 8  # frames between the stored poses of a training clip
+# More stored poses would make hours of recordings take hours to compare; then fewer of each clip are stored.
+MOST_POSES = 100_000
 POSE_EVERY = 6  # frames between the poses whose nearest neighbour is sought
 PROFILE_SECONDS = 7.0
 # Limits of a MotionProfile: these quantiles over the recorded windows, widened by these factors. The limit of
@@ -142,7 +146,8 @@ class RealMotion:
 
     Attributes:
         types, fps: those of the dataset.
-        held_out: the split that is held out: "test", or "validation", for which test clips are not read.
+        held_out: the split that is held out: "test"; "validation", for which test clips are not read; or "train",
+            for which training clips alone are.
         stretches: the recorded stretches.
         training: bodies of the training clips by clip number.
         longest: seconds of the longest training stretch of each type, short ones included.
@@ -155,15 +160,16 @@ class RealMotion:
         self.training: dict[int, Body] = {}
         self.longest: dict[str, float] = {}
         poses, kinds, clips = [], [], []
+        splits = SPLITS[: SPLITS.index(held_out) + 1]
+        training_frames = sum(clip.frames for clip in dataset.clips if clip.split == "train")
+        every = max(BANK_EVERY, math.ceil(2 * training_frames / MOST_POSES))
         # A mirrored clip whose recording is in the same split adds nothing; where types have one recording, one of the
         # two trains and the other is held out.
         plain = {(clip.start, clip.split) for clip in dataset.clips if not clip.mirrored}
         numbers: dict[int, int] = {}
         for index, clip in enumerate(dataset.clips):
             number = numbers.setdefault(clip.start, index)
-            if (clip.mirrored and (clip.start, clip.split) in plain) or (
-                clip.split == "test" and held_out != "test"
-            ):
+            if (clip.mirrored and (clip.start, clip.split) in plain) or clip.split not in splits:
                 continue
             data = dataset.read(clip)
             body = body_of(dataset.motion(clip, data))
@@ -176,7 +182,7 @@ class RealMotion:
                     self.stretches.append(Stretch(dataset.types[kind], number, clip.name, clip.split, part))
             if clip.split == "train":
                 self.training[number] = body
-                some, kind_ids = body.poses(BANK_EVERY), data.types[::BANK_EVERY]
+                some, kind_ids = body.poses(every), data.types[::every]
                 poses += [some, mirrored_poses(some)]
                 kinds += [kind_ids, dataset.mirrored_type_ids[kind_ids]]
                 clips.append(np.full(2 * len(some), number))
