@@ -148,6 +148,14 @@ def circular(value: dict[str, Any]) -> None:
     value["nodes"][1]["children"] = []
 
 
+def turned_over(value: dict[str, Any]) -> None:
+    value["nodes"][2]["scale"] = [-1, 1, -1]
+
+
+def stretched(value: dict[str, Any]) -> None:
+    value["nodes"][1]["scale"] = [1, 1.2, 1]
+
+
 def two_parents(value: dict[str, Any]) -> None:
     value["nodes"][0]["children"] = [1, 2]
 
@@ -195,6 +203,11 @@ def bone_elsewhere(value: dict[str, Any]) -> None:
     ("change", "said"),
     [
         (mirrored, "node Armature is mirrored or flat"),
+        (turned_over, "node Hips is mirrored or flat"),
+        (
+            stretched,
+            "node Armature, above the skeleton, is scaled unevenly .1.20 times as much along one axis",
+        ),
         (circular, "node 2 has two parents|the nodes form a circle"),
         (two_parents, "node 2 has two parents"),
         (two_characters, "two skeletons, below Scene and Other; expected one character per file"),

@@ -20,8 +20,10 @@ from synthetic_characters import posed
 from synthetic_motions import make_walk
 
 
-def saved(folder: Path, name: str, space: Array, in_pose: bool) -> Character:
-    """A character with a skin that is bound where it stands, in a space of the mesh; and posed afterwards."""
+def saved(
+    folder: Path, name: str, space: Array, in_pose: bool, scales: dict[str, list[float]] | None = None
+) -> Character:
+    """A character with a skin bound where it stands, in a space of the mesh; and posed or scaled afterwards."""
     maker = Maker()
     tree = read_character(maker.write(folder / "unbound.glb")).tree
     (skin,) = maker.value["skins"]
@@ -30,6 +32,9 @@ def saved(folder: Path, name: str, space: Array, in_pose: bool) -> Character:
     skin["inverseBindMatrices"] = maker.accessor(len(binds), "MAT4", bufferView=maker.view(columns.tobytes()))
     if in_pose:
         posed(maker.value)
+    for node in maker.value["nodes"]:
+        if node.get("name") in (scales or {}):
+            node["scale"] = scales[node["name"]]
     maker.clip("turn", plain(maker))
     return read_character(maker.write(folder / name))
 
@@ -56,6 +61,24 @@ def test_joints_without_keys_stay_in_the_pose_of_the_file(tmp_path: Path) -> Non
     assert len(motion) == len(TURNS)
     for joint, name in enumerate(character.skeleton.names):
         assert np.abs(places[:, joint] - shown[name][:, :3, 3]).max() < 1e-4, name
+
+
+def test_bones_that_were_scaled_after_binding_are_the_body_to_move(tmp_path: Path) -> None:
+    """As by sliders for proportions. Animations keep the scale, so legs as bound would sink into the floor."""
+    usual = saved(tmp_path, "usual.glb", np.eye(4), in_pose=False)
+    scales = {f"{side}UpLeg": [1.3, 1.3, 1.3] for side in ("Left", "Right")}
+    long = saved(tmp_path, "long.glb", np.eye(4), in_pose=False, scales=scales)
+    knee, ankle = (usual.skeleton.names.index(f"Left{part}") for part in ("Leg", "Foot"))
+    assert not long.posed
+    for joint in (knee, ankle):
+        assert np.allclose(long.skeleton.offsets[joint], 1.3 * usual.skeleton.offsets[joint], atol=1e-5)
+    rig = read_rig(tmp_path / "long.glb")
+    walk = on_rig(make_walk(60), rig)
+    write_motion(tmp_path / "walk.glb", rig_clip(walk, rig, "walk"))
+    shown, places = worlds(tmp_path / "walk.glb"), motion_kinematics(walk)[1]
+    for joint in (knee, ankle):
+        apart = shown[usual.skeleton.names[joint]][:, :3, 3] - places[:, joint]
+        assert np.abs(apart).max() < 1e-4
 
 
 def test_matrices_that_cannot_be_inverted_are_no_pose(tmp_path: Path) -> None:

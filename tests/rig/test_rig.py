@@ -27,6 +27,7 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton
+from motionkit.rig.names import map_rig, user_map
 from motionkit.rig.on_rig import read_clip, read_rig
 from motionkit.rig.pose import up_turn
 from motionkit.rig.retarget import retarget
@@ -391,3 +392,47 @@ def test_four_hundred_joints_take_no_time_worth_mentioning(tmp_path: Path) -> No
     assert len(rig.skeleton) == 400 and rig.joints.missing() == ()
     made = rig_bvh(on_rig(make_walk(30), rig), rig)
     assert set(made.skeleton.names) == set(big.names) and made.values.shape == (30, 3 + 3 * 400)
+
+
+@pytest.mark.parametrize("sides", [("Left",), ("Left", "Right")])
+def test_legs_that_end_in_the_shin_stand_on_the_ends_of_their_shins(sides: tuple[str, ...]) -> None:
+    """A rig without feet walks with its ankles where a body with feet has them, in its own unit."""
+    source, whole = walk(), canonical_skeleton()
+    cut = [f"{side}{part}" for side in sides for part in ("Foot", "ToeBase")]
+    bare = renamed(source, {name: name for name in JOINT_NAMES if name not in cut})
+    shins = {side: bare.skeleton.names.index(f"{side}Leg") for side in sides}
+    ankles = {side: JOINT_NAMES.index(f"{side}Foot") for side in sides}
+    ends = {shins[side]: tuple(map(float, whole.offsets[ankles[side]])) for side in sides}
+    bare = replace(bare, skeleton=replace(bare.skeleton, end_sites=ends))
+    result, report = retarget(motion_to_bvh(bare))
+    assert {"LeftFoot", "LeftToeBase"} <= set(report.missing) and report.scale == pytest.approx(1.0)
+    for before, after in zip(motion_kinematics(source), motion_kinematics(result), strict=True):
+        legs = [JOINT_NAMES.index(f"{side}{part}") for side in sides for part in ("UpLeg", "Leg")]
+        assert np.abs(before[:, legs] - after[:, legs]).max() < 0.05
+    rig = make_rig(motion_to_bvh(bare), "bare")
+    made = on_rig(source, rig)
+    turns, places = motion_kinematics(made)
+    for side in sides:
+        end = np.broadcast_to(np.float32(ends[shins[side]]), (len(made), 3))
+        ankle = places[:, shins[side]] + quat_rotate(turns[:, shins[side]], end)
+        assert np.abs(ankle - motion_kinematics(source)[1][:, ankles[side]]).max() < 5.0
+
+
+def test_what_is_made_for_a_mapped_rig_keeps_the_map(tmp_path: Path) -> None:
+    """Nothing else could find the limbs: no name tells them, and the legs are too short for a human shape."""
+    source = walk()
+    opaque = renamed(source, {name: f"q{joint}" for joint, name in enumerate(JOINT_NAMES)})
+    offsets = opaque.skeleton.offsets.copy()
+    offsets[
+        [JOINT_NAMES.index(f"{side}{part}") for side in ("Left", "Right") for part in ("Leg", "Foot")]
+    ] *= 0.2
+    opaque = replace(opaque, skeleton=replace(opaque.skeleton, offsets=offsets))
+    with pytest.raises(SkeletonError):
+        map_rig(opaque.skeleton)
+    places = {name: joint for joint, name in enumerate(JOINT_NAMES)}
+    rig = make_rig(motion_to_bvh(opaque), "opaque", user_map(opaque.skeleton, places))
+    made = on_rig(source, rig)
+    for motion in (made, mk.make_loop(made).motion, mk.mirror(made)):
+        assert map_rig(motion.skeleton).places == places
+    mk.write(tmp_path / "made.vrma", made)
+    assert (tmp_path / "made.vrma").exists()

@@ -57,8 +57,7 @@ def command(source: Path, target: Path | None, as_json: bool) -> None:
         clip = read_clip(source)
         motion = clip.in_file()
         with naming(source):
-            limbs = None if clip.character is None else clip.character.humanoid or None
-            mirrored = clip.with_motion(mirror_motion(clip.motion, limbs))
+            mirrored = clip.with_motion(mirror_motion(clip.motion))
         outputs.write(replace(mirrored, name=f"{clip.name}-mirrored"))
     line = f"wrote {display_name(outputs.file)}: the mirror image of {source}"
     outputs.report({"file": source, "output": outputs.file}, [line], (source, motion))

@@ -195,6 +195,7 @@ def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
             {joint + 1: end for joint, end in skeleton.end_sites.items()},
             skeleton.cm,
             skeleton.up,
+            {name: joint + 1 for name, joint in skeleton.humanoid.items()},
         ),
         quat_continuous(
             np.concatenate(

@@ -45,7 +45,7 @@ def write_vrm(path: str | Path, clip: Clip) -> None:
         raise MotionkitError(
             f"{path}: a .vrm is an avatar: give one with --rig avatar.vrm, or write its animation as .vrma"
         )
-    if not clip.character.humanoid:
+    if not clip.character.skeleton.humanoid:
         source = clip.character.tree.file.path
         raise MotionkitError(
             f"{path}: not written: {source} has no humanoid part, as a .vrm has; write a .glb"

@@ -43,7 +43,6 @@ class BvhFile:
         frame_time: seconds per frame, as declared.
         hierarchy: text of the hierarchy section, as it was read and as it is written; None to make one from skeleton
             and channels, also where the text had to be repaired.
-        humanoid: canonical limb joints, hips and head to joint indices, where the file itself says so (VRM).
         rate_within: largest relative difference of the rate from a whole number, by the digits of the frame time.
     """
 
@@ -52,7 +51,6 @@ class BvhFile:
     values: NDArray[np.float64]
     frame_time: float
     hierarchy: str | None = None
-    humanoid: dict[str, int] | None = None
     rate_within: float = EXACT_WITHIN
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,8 @@ class Skeleton:
         end_sites: joint index to the offset (3,) of its bone's end.
         cm: cm per unit of length, where the file's format says it; else None.
         up: the axis of the world that points up, such as "+Z", where the file's format says it; else None.
+        humanoid: canonical limb joints, hips and head to joint indices, where an avatar's bone table or the bone map of
+            a rig says it; else empty.
     """
 
     names: tuple[str, ...]
@@ -30,6 +32,7 @@ class Skeleton:
     end_sites: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     cm: float | None = None
     up: str | None = None
+    humanoid: dict[str, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -74,6 +77,7 @@ class Skeleton:
     def picked(self, joints: Sequence[int]) -> Skeleton:
         """Some joints, with the parents of each, in another order."""
         place = {joint: index for index, joint in enumerate(joints)}
+        whole = set(self.humanoid.values()) <= set(joints)
         return Skeleton(
             tuple(self.names[joint] for joint in joints),
             tuple(place.get(self.parents[joint], -1) for joint in joints),
@@ -81,6 +85,7 @@ class Skeleton:
             {place[joint]: end for joint, end in self.end_sites.items() if joint in place},
             self.cm,
             self.up,
+            {name: place[joint] for name, joint in self.humanoid.items()} if whole else {},
         )
 
     def rest_positions(self) -> Array:
@@ -94,7 +99,7 @@ class Skeleton:
         """The same skeleton with every length multiplied by a factor."""
         ends = {j: (x * factor, y * factor, z * factor) for j, (x, y, z) in self.end_sites.items()}
         cm = None if self.cm is None else self.cm / factor
-        return Skeleton(self.names, self.parents, self.offsets * factor, ends, cm, self.up)
+        return replace(self, offsets=self.offsets * factor, end_sites=ends, cm=cm)
 
     def same_hierarchy(self, other: Skeleton) -> bool:
         """Whether names and parents are equal (lengths may differ)."""

@@ -60,7 +60,7 @@ class Recorder:
 def holds(format: str | None, rig: Rig | None) -> bool:
     """Whether recordings on a rig can have a format, None for the usual one: a .vrm is an avatar."""
     avatar = None if rig is None else rig.character
-    return format != "vrm" or (avatar is not None and bool(avatar.humanoid))
+    return format != "vrm" or (avatar is not None and bool(avatar.skeleton.humanoid))
 
 
 def file_bytes(

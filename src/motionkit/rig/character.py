@@ -7,7 +7,7 @@ turned into the axes of the node's parent, and applied to the rest rotation of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -41,13 +41,11 @@ class Character:
         tree: the file and its nodes.
         nodes: the node of each joint.
         skeleton: the joints, in metres; the root's offset is its place in the world.
-        humanoid: canonical limb joints, hips and head to joint indices, if an avatar's bone table names them.
     """
 
     tree: GltfNodes
     nodes: tuple[int, ...]
     skeleton: Skeleton
-    humanoid: dict[str, int]
 
     @property
     def has_mesh(self) -> bool:
@@ -98,11 +96,7 @@ class Character:
             for joint, names in enumerate(channels)
             for name in names
         ]
-        return self.named(BvhFile(self.skeleton, channels, np.array([values], np.float64), 1.0 / 60.0))
-
-    def named(self, bvh: BvhFile) -> BvhFile:
-        """A file on these joints that knows which of them the avatar's bone table names."""
-        return replace(bvh, humanoid=self.humanoid or None)
+        return BvhFile(self.skeleton, channels, np.array([values], np.float64), 1.0 / 60.0)
 
     def motion(self, rotations: Array, translations: dict[int, Array], fps: float) -> Motion:
         """The motion, in metres, of local rotations (T, J, 4) and translations (T, 3) of nodes, by joint."""
@@ -192,10 +186,10 @@ class Character:
 def read_character(path: str | Path) -> Character:
     """Read the character of a .glb or .vrm file; raises MotionkitError, naming the file, if it has no usable one."""
     tree = GltfNodes(GltfFile(path))
-    humanoid = tree.humanoid()
-    nodes = tree.joints(set(humanoid.values()))
+    table = tree.humanoid()
+    nodes = tree.joints(set(table.values()))
     index = {node: joint for joint, node in enumerate(nodes)}
-    apart = [name for name, node in humanoid.items() if node not in index]
+    apart = [name for name, node in table.items() if node not in index]
     if apart:
         raise tree.fault(f"the avatar's bone table has a {apart[0]} that is not part of its skeleton")
     parents = tuple(index.get(tree.parents[node], -1) for node in nodes)
@@ -204,8 +198,9 @@ def read_character(path: str | Path) -> Character:
     # Units of FBX files are often wrong.
     cm = None if Path(path).suffix.lower() == FBX else 100.0
     ends = _ends(tree, nodes, parents)
-    skeleton = Skeleton(tree.names(nodes), parents, offsets.astype(np.float32), ends, cm, "+Y")
-    return Character(tree, tuple(nodes), skeleton, {name: index[node] for name, node in humanoid.items()})
+    humanoid = {name: index[node] for name, node in table.items()}
+    skeleton = Skeleton(tree.names(nodes), parents, offsets.astype(np.float32), ends, cm, "+Y", humanoid)
+    return Character(tree, tuple(nodes), skeleton)
 
 
 def _ends(

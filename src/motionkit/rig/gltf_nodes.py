@@ -34,6 +34,9 @@ VRM_BONES = {"hips": "Hips", "head": "Head"} | {
 # Degrees, and share of the skin's size, by which a joint of a posed character is away from its bind pose.
 POSED = (5.0, 0.02)
 MOST_TURNED = 45.0  # degrees by which the top joint of a posed character is turned away from its bind pose
+UNEVEN = (
+    1.02  # ratio of scales along the axes of a node above the skeleton; rotations below it shear the body
+)
 
 
 class GltfNodes:
@@ -96,6 +99,9 @@ class GltfNodes:
     def _bound(self, skin: dict[str, Any]) -> dict[int, Doubles]:
         """The global transforms in which the joints of a skin are bound to its vertices; none if they have these.
 
+        None either if a bone has another scale than it was bound with, as by sliders for proportions: animations keep
+        that scale, so the body of the file is the one to move.
+
         A joint's transform times its inverse bind matrix leads from the space of the mesh to the scene. In the bind
         pose it is the same for all joints. In another pose it is taken to be none, or that of the node above the
         skeleton, whichever is nearer to that of the top joint, which may be posed, too.
@@ -113,6 +119,8 @@ class GltfNodes:
         reach = float(np.ptp(inverse[:, :3, 3], axis=0).max())
         apart = [_apart(spaces[top], space) for space in spaces]
         if max(turn for turn, _ in apart) < POSED[0] and max(away for _, away in apart) < POSED[1] * reach:
+            return {}
+        if any(math.isinf(turn) for turn, _ in apart):
             return {}
         above = self.parents[joints[top]]
         usual = [np.eye(4), *([self.world[above]] if above >= 0 else [])]
@@ -199,13 +207,26 @@ class GltfNodes:
                 out.append(node)
         if len(out) > MAX_JOINTS:
             raise self.fault(f"{len(out)} joints, expected at most {MAX_JOINTS}")
-        for node in [*([self.parents[top]] if self.parents[top] >= 0 else []), *out]:
-            if float(np.linalg.det(self.world[node][:3, :3])) <= 0.0:
+        self._check_scales(top, out)
+        return out
+
+    def _check_scales(self, top: int, joints: list[int]) -> None:
+        """Raise MotionkitError for scales with which rotations are no rotations of the body."""
+        above = [self.parents[top]] if self.parents[top] >= 0 else []
+        for node in [*above, *joints]:
+            negative = node in joints and min(self.nodes[node].get("scale", [1.0])) < 0.0
+            if negative or float(np.linalg.det(self.world[node][:3, :3])) <= 0.0:
                 raise self.fault(
                     f"node {self.name(node)} is mirrored or flat (negative scale or zero); "
                     "apply the scale in the program it is from"
                 )
-        return out
+        for node in above:
+            sizes = np.linalg.svd(self.world[node][:3, :3], compute_uv=False)
+            if sizes[0] > UNEVEN * sizes[-1]:
+                raise self.fault(
+                    f"node {self.name(node)}, above the skeleton, is scaled unevenly ({sizes[0] / sizes[-1]:.2f} "
+                    "times as much along one axis); apply the scale in the program it is from"
+                )
 
     def _main(self, needed: set[int]) -> set[int]:
         """Those of some nodes below the top node with the most; another top node must have less than half as many."""

@@ -34,17 +34,17 @@ _LEAST_TURN = 1e-3  # weight of turning least beside that of the bones
 _RIGID_SHARE = 0.01  # of the mean bone; a joint whose position varies by less ends a rigid bone
 
 
-def mirror_plan(motion: Motion, limbs: Mapping[str, int] | None = None) -> MirrorPlan:
+def mirror_plan(motion: Motion) -> MirrorPlan:
     """Find opposite joints by name, or by shape if no name has a side, and reflections by rest pose and mean pose.
 
-    Limbs whose names have no side, beside others that have one, are those of the bone map: the user's, that of the
-    file (limbs, canonical joints to joint indices), or by shape. A motion and its mirror image get the same plan.
+    Limbs whose names have no side, beside others that have one, are those of the bone map (map_rig). A motion and its
+    mirror image get the same plan.
 
     Raises:
         SkeletonError: the rig has no left and right, or its sides have different hierarchies.
     """
     skeleton = motion.skeleton
-    opposites = _checked_opposites(motion, limbs)
+    opposites = _checked_opposites(motion)
     places, rigid = _mean_places(motion)
     axis = _common_axis(opposites, places, rigid)
     up = int(np.abs(up_axis(motion_kinematics(motion)[1], skeleton)).argmax())
@@ -98,12 +98,16 @@ def _turns(skeleton: Skeleton, opposites: tuple[int, ...], places: Array, world:
     return matrix_to_quat(np.stack(found))
 
 
-def _checked_opposites(motion: Motion, limbs: Mapping[str, int] | None) -> tuple[int, ...]:
+def _checked_opposites(motion: Motion) -> tuple[int, ...]:
     names, parents = motion.skeleton.names, motion.skeleton.parents
     opposites = opposite_joints(names)
     poses = motion_kinematics(_sampled(motion))[1]
-    known = user_places(motion.skeleton) or limbs
-    if known or any(opposite != joint for joint, opposite in enumerate(opposites)):
+    known = user_places(motion.skeleton)
+    if (
+        known
+        or motion.skeleton.humanoid
+        or any(opposite != joint for joint, opposite in enumerate(opposites))
+    ):
         opposites = _with_limbs(motion.skeleton, opposites, known or _limbs(motion.skeleton, poses))
     else:
         found = opposites_by_shape(motion.skeleton, poses)
@@ -136,7 +140,7 @@ def _limbs(skeleton: Skeleton, poses: Array) -> Mapping[str, int]:
 
 
 def _with_limbs(skeleton: Skeleton, opposites: Sequence[int], places: Mapping[str, int]) -> tuple[int, ...]:
-    """Opposite joints with those of the limbs that have none yet, and of the joints below these, in order."""
+    """Opposite joints with those of the limbs that have none yet, and of the joints around these, in order."""
     out, added = list(opposites), set[int]()
 
     def pair(left: int, right: int) -> None:
@@ -146,7 +150,9 @@ def _with_limbs(skeleton: Skeleton, opposites: Sequence[int], places: Mapping[st
 
     for name, left in places.items():
         if name.startswith("Left") and (right := places.get(f"Right{name[4:]}")) is not None:
-            pair(left, right)
+            while not (skeleton.descends(left, right) or skeleton.descends(right, left)):
+                pair(left, right)
+                left, right = skeleton.parents[left], skeleton.parents[right]
     for joint in range(len(out)):
         if joint in added and out[joint] > joint:
             sides = [[c for c in skeleton.children(side) if out[c] == c] for side in (joint, out[joint])]
@@ -236,17 +242,15 @@ def _bone_misfit(
     )
 
 
-def mirror_motion(motion: Motion, limbs: Mapping[str, int] | None = None) -> Motion:
+def mirror_motion(motion: Motion) -> Motion:
     """Swap left and right of a motion on the same skeleton, for any rig with left and right joints.
-
-    limbs are canonical joints and their joint indices, where the motion's file names them (VRM).
 
     The world is reflected along the rig's left-right axis, X for the canonical skeleton.
 
     Raises:
         SkeletonError: the rig has no left and right.
     """
-    return mirrored(motion, mirror_plan(motion, limbs))
+    return mirrored(motion, mirror_plan(motion))
 
 
 def mirror_bvh(bvh: BvhFile) -> BvhFile:

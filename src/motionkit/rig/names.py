@@ -182,11 +182,14 @@ def tables() -> dict[str, Any]:
 def map_rig(skeleton: Skeleton, poses: Array | None = None) -> RigMap:
     """Find the canonical joints in a skeleton; raises SkeletonError if it is not a human rig, or a limb is missing.
 
-    Recorded joint positions (P, J, 3) help to find limbs with unknown names.
+    The user's bone map comes first, then Skeleton.humanoid, then names and shape. Recorded joint positions (P, J, 3)
+    help to find limbs with unknown names.
     """
     places = user_places(skeleton)
     if places is not None:
         return user_map(skeleton, places)
+    if skeleton.humanoid:
+        return _Mapper(skeleton).around(skeleton.humanoid)
     if poses is not None:
         return _Mapper(skeleton).map(poses)
     offsets = skeleton.offsets
@@ -214,11 +217,6 @@ def user_places(skeleton: Skeleton) -> dict[str, int] | None:
 def user_map(skeleton: Skeleton, places: dict[str, int]) -> RigMap:
     """The map of a skeleton with known canonical joints; raises SkeletonError if they cannot be a body."""
     return _Mapper(skeleton).from_user(places)
-
-
-def map_around(skeleton: Skeleton, limbs: dict[str, int], source: str) -> RigMap:
-    """The map of a skeleton whose limbs, hips and head come from a file; given names the kind of file."""
-    return _Mapper(skeleton).around(limbs, source)
 
 
 class _Mapper:
@@ -266,15 +264,15 @@ class _Mapper:
         agree, toes = handedness(places, np.array(points)[None])
         return agree > -OPPOSED and toes is not None and toes < OPPOSED
 
-    def around(self, limbs: dict[str, int], source: str) -> RigMap:
-        """The map around known limbs, hips and head."""
+    def around(self, limbs: dict[str, int]) -> RigMap:
+        """The map around the limbs, hips and head of an avatar's bone table."""
         self.places = dict(limbs)
         self._require()
         self._check_limbs()
         if "Hips" not in limbs:
             self._hips()
         self._torso()
-        return replace(self._rig_map(), source=source)
+        return replace(self._rig_map(), source="VRM")
 
     def _torso(self) -> None:
         chest = self._spine()

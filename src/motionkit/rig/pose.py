@@ -16,7 +16,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_angle, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.rig.handedness import OPPOSED, handedness
-from motionkit.rig.names import EXCHANGED, RigMap, map_around, map_rig, user_places
+from motionkit.rig.names import EXCHANGED, RigMap, map_rig
 from motionkit.rig.rest_pose import (
     SIDES,
     SourceRig,
@@ -76,8 +76,6 @@ class RigPose:
 
 def map_file(bvh: BvhFile) -> RigMap:
     """Map the canonical joints of a file; raises SkeletonError if it is not a human rig."""
-    if bvh.humanoid and user_places(bvh.skeleton) is None:
-        return map_around(bvh.skeleton, bvh.humanoid, "VRM")
     few = replace(bvh, values=bvh.values[:: max(1, len(bvh.values) // SAMPLES)])
     return map_rig(bvh.skeleton, motion_kinematics(bvh_to_motion(few))[1])
 

@@ -44,7 +44,7 @@ def read_file(path: str | Path, clip: str | None = None) -> BvhFile:
     """
     if is_gltf(path):
         character = read_character(path)
-        found = character.named(motion_to_bvh(motion_of(character, clip)[1]))
+        found = motion_to_bvh(motion_of(character, clip)[1])
     else:
         found = READERS.get(Path(path).suffix.lower(), _read_unknown)(path)
     _check_map(path, found.skeleton)

@@ -239,6 +239,8 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
             if part == "Arm":  # relative to the chest, because collar bones vary between rigs
                 parent = frame
             out[joint] = _turned(parent, bone, 0.0 if part in _LIMBS else _TOLERANCE["Hand"])
+        elif part == "Foot" and source.place(name) is None:
+            out[joint] = out[PARENTS[joint]]
         elif part == "Foot":
             out[joint] = _foot_difference(source, frame, name, _CANONICAL.offsets[joint + 1], _forward(frame))
         elif name != "Hips" and not (

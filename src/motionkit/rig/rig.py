@@ -5,7 +5,7 @@ to_rig.py puts motion on it; retarget.py reads motion from it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 from motionkit.rig.character import Character
+from motionkit.rig.gltf_nodes import VRM_BONES
 from motionkit.rig.names import RigMap
 from motionkit.rig.pose import RigPose, map_file, median_offsets, pose_notes, study_rig
 from motionkit.rig.rest_pose import SIDES
@@ -103,9 +104,13 @@ def make_rig(bvh: BvhFile, name: str, joints: RigMap | None = None) -> Rig:
         )
     _check_channels(bvh, joints)
     scale = leg_length(canonical_skeleton()) / leg
+    skeleton = bvh.skeleton
+    if joints.source == "map":  # what is made for the rig keeps what only the user knows
+        known = {ours: joints.places[ours] for ours in VRM_BONES.values() if ours in joints.places}
+        skeleton = replace(skeleton, humanoid=known)
     return Rig(
         name,
-        bvh.skeleton,
+        skeleton,
         bvh.channels,
         bvh.hierarchy,
         joints,

@@ -65,8 +65,10 @@ def rig_body(rig: Rig) -> Skeleton:
         while JOINT_NAMES[above] not in rig.joints.places:
             above = PARENTS[above]
         place, bone = source.place(name), source.bone(JOINT_NAMES[above])
-        if place is None and not canonical.children(joint):
-            if bone is None or name == "Head":
+        footless = name.endswith("Foot") and name.replace("Foot", "ToeBase") not in rig.joints.places
+        if place is None and (footless or not canonical.children(joint)):
+            # Toes of a leg that ends in its shin are those of the canonical foot.
+            if bone is None or name == "Head" or (above != PARENTS[joint] and name.endswith("ToeBase")):
                 offsets[joint] = canonical.offsets[joint]
                 continue
             place = source.place(JOINT_NAMES[above]) + bone[1]

@@ -148,11 +148,17 @@ def rig_places(skeleton: Skeleton) -> dict[str, int]:
 
 
 def rig_leg(skeleton: Skeleton) -> float:
-    """Thigh plus shin of a human rig in its unit, the mean of its whole legs; 0 for other rigs."""
+    """Thigh plus shin of a human rig in its unit, the mean of its whole legs; 0 for other rigs.
+
+    A shin without a foot ends at its end site.
+    """
     places = rig_places(skeleton)
-    rest = skeleton.rest_positions()
-    legs = [[f"{side}{part}" for part in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")]
-    chains = [rest[[places[name] for name in leg]] for leg in legs if all(name in places for name in leg)]
+    rest, chains = skeleton.rest_positions(), []
+    for side in ("Left", "Right") if places else ():
+        hip, knee = (rest[places[f"{side}{part}"]] for part in ("UpLeg", "Leg"))
+        foot, end = places.get(f"{side}Foot"), skeleton.end_sites.get(places[f"{side}Leg"])
+        if foot is not None or end is not None:
+            chains.append(np.stack([hip, knee, rest[foot] if foot is not None else knee + np.array(end)]))
     return float(np.mean([_path(chain) for chain in chains])) if chains else 0.0
 
 
