@@ -179,6 +179,45 @@ def test_a_loop_is_that_of_the_command(tmp_path: Path) -> None:
     assert (tmp_path / "rig.bvh").read_bytes() == (tmp_path / "there.bvh").read_bytes()
     with pytest.raises(mk.MotionkitError, match="a loop takes one motion type"):
         api.loop("walking,running", seconds=1.0)
+    for seconds in (-3.0, 0.0, float("inf"), float("nan")):
+        with pytest.raises(mk.MotionkitError, match=r"expected a loop of 0\.1 to 3600 s"):
+            api.loop("walking", seconds=seconds)
+        with pytest.raises(mk.MotionkitError, match=r"expected a loop of 0\.1 to 3600 s"):
+            mk.make_loop(made.motion, seconds)
+
+
+def test_a_built_in_rig_has_its_rate_and_size(tmp_path: Path) -> None:
+    """As on the command line, where a path lies in the world of the rig, and numbers may be those of numpy."""
+    common = ["--rig", "@lafan1", "--seed", "5"]
+    for arguments in (["synthesize", "--types", "walking:1"], ["follow-path", "line", "--size", "2"]):
+        command = [
+            sys.executable,
+            "-m",
+            "motionkit",
+            *arguments,
+            *common,
+            "-o",
+            tmp_path / f"{arguments[0]}.bvh",
+        ]
+        subprocess.run(command, check=True, capture_output=True)
+    seed, rig, model = np.int64(5), mk.read_rig("@lafan1"), mk.load_model()
+    made = mk.retarget(mk.synthesize("walking:1", seed=seed), rig)
+    assert made.motion.fps == mk.read_bvh(tmp_path / "synthesize.bvh").fps == 30.0
+    assert len(made.motion) == len(mk.read_bvh(tmp_path / "synthesize.bvh"))
+    assert mk.retarget(mk.synthesize("walking:1"), rig, fps=50.0).motion.fps == 50.0
+    path = mk.shape_path("line", 2.0, ["walking"], None).scaled(1.0 / rig.size(model.character("default")))
+    walk = mk.retarget(mk.follow_path(path, seed=seed), rig).motion
+    assert len(walk) == len(mk.read_bvh(tmp_path / "follow-path.bvh"))
+
+
+def test_results_are_written_and_shown_as_they_are(tmp_path: Path) -> None:
+    made = mk.synthesize("walking:0.5")
+    mk.write(tmp_path / "result.bvh", made)
+    mk.write(tmp_path / "motion.bvh", made.motion)
+    assert (tmp_path / "result.bvh").read_bytes() == (tmp_path / "motion.bvh").read_bytes()
+    mk.write_view(tmp_path / "result.html", made)
+    with pytest.raises(mk.MotionkitError, match="expected a Motion, or a result that has one"):
+        mk.write(tmp_path / "none.bvh", "walking")
 
 
 def test_a_crowd_and_a_path_file(tmp_path: Path) -> None:

@@ -78,12 +78,13 @@ def retarget(
     *,
     ik: bool = True,
     clip: str | Path | None = None,
+    fps: float | None = None,
 ) -> Clip:
     """Retarget a motion to a user's rig; mk.write saves the result. A .bvh file keeps the rig's hierarchy and channels.
     A .glb or .vrm file is that of the rig, if it is one, with the motion as one more animation.
 
-    The motion is resized as a whole. To meet keys or a path in the rig's world, make it with places divided by the
-    rig's size: `Key.scaled`, `Path2D.scaled` (the command line does).
+    The motion is resized as a whole. To meet keys or a path in the rig's world, make it with places divided by
+    `rig.size(model.character("default"))`: `Key.scaled`, `Path2D.scaled` (the command line does).
 
     Args:
         motion: on the 23 canonical joints in cm, the floor at height zero; a result of synthesize or follow_path, whose
@@ -92,6 +93,7 @@ def retarget(
         rig: result of read_rig, or what it takes.
         ik: keep the rig's feet on the floor, and hold them while those of the motion are in contact.
         clip: BVH file of the rig that animates its other joints (fingers, props); by default they keep their rest pose.
+        fps: frame rate of the clip; by default the one that readers of a built-in rig expect, else that of the motion.
 
     Returns:
         The clip; its `motion` is on the rig's skeleton, in the rig's unit and axes.
@@ -104,7 +106,7 @@ def retarget(
     from motionkit.errors import naming
     from motionkit.export.clip import rig_clip
     from motionkit.finish.on_rig import on_rig
-    from motionkit.motion.motion import Motion
+    from motionkit.motion.motion import Motion, resample
     from motionkit.rig.on_rig import canonical_for, read_clip
     from motionkit.rig.read_file import read_file
 
@@ -120,6 +122,8 @@ def retarget(
             types = tuple((part.type, part.seconds) for part in motion.motions[0].types)
             cyclic = motion.motions[0].cyclic
         drawn, motion = motion.unfinished, motion.motion
+    if fps or target.fps:
+        motion = resample(motion, fps or target.fps or motion.fps)
     other = None if clip is None else read_clip(clip, target)
     made = cycle_on_rig(motion, target, ik, other) if cyclic else on_rig(motion, target, ik, other, drawn)
     return rig_clip(made, target, "motion", types)

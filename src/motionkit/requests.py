@@ -171,7 +171,10 @@ def loop_wish(types: str | Sequence[str], seconds: float | None) -> float | None
 
     Raises:
         ControlError: a loop is of several types, or they have different lengths.
+        MotionkitError: no loop can be so long.
     """
+    from motionkit.editing.loop import check_seconds
+
     texts = [types] if isinstance(types, str) else types
     times = set()
     for text in texts:
@@ -182,7 +185,9 @@ def loop_wish(types: str | Sequence[str], seconds: float | None) -> float | None
     if seconds is None and len(times) > 1:
         found = ", ".join(f"{time:g}" for time in sorted(times))
         raise ControlError(f"expected one length in seconds for all loops, found {found}")
-    return seconds if seconds is not None else next(iter(times), None)
+    seconds = seconds if seconds is not None else next(iter(times), None)
+    check_seconds(seconds)
+    return seconds
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,8 +65,22 @@ def test_it_obeys_a_velocity_and_stops(tiny_model: MotionModel) -> None:
     assert float(np.abs(later - halt).max()) < 2.0
 
 
+def test_a_wish_may_be_an_array(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model, "walking")
+    driver.set_wish(Wish(np.array([0.0, 100.0])))  # type: ignore[arg-type]
+    assert driver.wish == Wish((0.0, 100.0))
+
+
 @pytest.mark.parametrize(
-    "wish", [Wish((0.0, math.nan)), Wish((math.inf, 0.0)), Wish((0.0, 5000.0)), Wish(None, facing=math.nan)]
+    "wish",
+    [
+        Wish((0.0, math.nan)),
+        Wish((math.inf, 0.0)),
+        Wish((0.0, 5000.0)),
+        Wish(None, facing=math.nan),
+        Wish((0.0, 0.0, 100.0)),  # type: ignore[arg-type]
+        Wish((100.0,)),  # type: ignore[arg-type]
+    ],
 )
 def test_an_unlikely_wish_is_refused_and_changes_nothing(tiny_model: MotionModel, wish: Wish) -> None:
     driver = Driver(tiny_model, "walking")

@@ -185,11 +185,25 @@ def test_who_stands_keeps_a_facing(model: MotionModel) -> None:
         (Key(1.0, position=np.array([0.0, np.nan])), "position: expected 2 numbers"),
         (Key(1.0, joints={20: np.zeros(2)}), "RightArm: expected 3 numbers"),
         ({"time": 1}, "expected a Key, found {'time': 1}"),
+        (Key(0.05, facing=0.0), "a key at 0.05 s; expected 0.2 s or later"),
+        (Key(-1.0, facing=0.0), "a key at -1 s; expected 0.2 s or later"),
+        (
+            Key(1.0, joints={"RightHand": np.zeros(3)}),
+            "joints: expected indices of canonical joints, 0 to 22",
+        ),
+        (Key(1.0, joints={99: np.zeros(3)}), "joints: expected indices of canonical joints, 0 to 22"),
     ],
 )
 def test_keys_that_are_none(key: Key, said: str) -> None:
     with pytest.raises(ControlError, match=re.escape(said)):
         check_keys([key])
+
+
+def test_one_key_is_no_list_and_lists_are_scaled() -> None:
+    with pytest.raises(ControlError, match="expected a list of keys, found one Key"):
+        check_keys(Key(1.0))  # type: ignore[arg-type]
+    scaled = Key(1.0, position=[1, 2], joints={18: [20, 100, 100]}).scaled(2)  # type: ignore[arg-type, dict-item]
+    assert np.array_equal(scaled.position, [2, 4]) and np.array_equal(scaled.joints[18], [40, 200, 200])
 
 
 def test_lists_are_positions(model: MotionModel) -> None:

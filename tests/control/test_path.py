@@ -301,8 +301,26 @@ def test_tables_of_every_spreadsheet_are_read(tmp_path: Path, name: str, text: s
         (PathPart(np.zeros((3, 3)), "walking"), "expected points"),
         (PathPart(np.array([[0.0, 0.0], [0.0, 300.0]]), "walking", -100.0), "expected a speed above 0"),
         (PathPart(np.array([[0.0, 0.0], [0.0, 300.0]]), "walking", math.nan), "expected a speed above 0"),
+        (
+            PathPart(np.array([[0.0, 0.0], [0.0, 300.0]]), "walking", stop=math.nan),
+            "expected a stop of 0 s or more",
+        ),
+        (
+            PathPart(np.array([[0.0, 0.0], [0.0, 300.0]]), "walking", stop=-1.0),
+            "expected a stop of 0 s or more",
+        ),
+        (PathPart([[0.0, 0.0], [300.0]], "walking"), "expected points"),  # type: ignore[arg-type]
     ],
 )
 def test_parts_that_are_no_paths(part: PathPart, said: str) -> None:
     with pytest.raises(ControlError, match=f"part 1 of the path .walking.: {said}"):
         make_path([part])
+
+
+def test_lists_of_points_are_scaled_and_arrays_are_copied() -> None:
+    listed = make_path([PathPart([[0, 0], [0, 400]], "walking")])  # type: ignore[arg-type]
+    assert listed.scaled(2.0).length == pytest.approx(800.0)
+    points = np.array([[0.0, 0.0], [0.0, 400.0]])
+    path = make_path([PathPart(points, "walking")])
+    points *= 3.0
+    assert path.scaled(1.0).length == pytest.approx(400.0)

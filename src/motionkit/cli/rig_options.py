@@ -151,14 +151,17 @@ class RigChoice:
         clip: motion of the rig from --from, or None.
         files: the files that were read.
         root_motion: how root motion is written.
-        fps: frame rate that readers of the rig expect, if they expect one.
     """
 
     rig: Rig | None = None
     clip: Motion | None = None
     files: tuple[Path, ...] = ()
     root_motion: RootMotion = RootMotion()
-    fps: float | None = None
+
+    @property
+    def fps(self) -> float | None:
+        """Frame rate that readers of the rig expect, if they expect one."""
+        return None if self.rig is None else self.rig.fps
 
     @property
     def words(self) -> str:
@@ -166,14 +169,8 @@ class RigChoice:
         return "" if self.rig is None else f" on {self.rig.name}"
 
     def size(self, body: Skeleton) -> float:
-        """The leg length of the rig relative to that of a body in cm: by this the rig's places differ."""
-        if self.rig is None:
-            return 1.0
-        from motionkit.motion.skeleton import leg_length
-        from motionkit.rig.units import rig_unit
-
-        with as_found():
-            return self.rig.leg * rig_unit(self.rig.skeleton, self.rig.leg)[0] / leg_length(body)
+        """The size of the rig relative to a body in cm (Rig.size); 1 without a rig."""
+        return 1.0 if self.rig is None else self.rig.size(body)
 
     def own_body(self, written: Motion, measured: Motion) -> Motion:
         """A written motion on the canonical joints with the bones of the rig; `measured` without a rig."""
@@ -246,7 +243,6 @@ def open_rig(rig_path: Path | None, map_path: Path | None = None, clip_path: Pat
             raise click.UsageError(f"{name} needs --rig, the file of the rig")
     if rig_path is None:
         return RigChoice()
-    from motionkit.rig.built_in import rig_rate
     from motionkit.rig.on_rig import read_clip, read_rig
 
     with as_found():
@@ -255,7 +251,7 @@ def open_rig(rig_path: Path | None, map_path: Path | None = None, clip_path: Pat
         with reading(animation=animation):
             clip = None if clip_file is None else read_clip(clip_file, rig)
     files = tuple(path for path in (rig_path, map_path, clip_file) if path is not None)
-    return RigChoice(rig, clip, files, fps=rig_rate(rig_path))
+    return RigChoice(rig, clip, files)
 
 
 def open_written(

@@ -93,6 +93,11 @@ class Driver:
 
     def set_wish(self, wish: Wish) -> None:
         """Follow another wish from the next frame on; raises ControlError for an unknown type or an invalid number."""
+        if wish.velocity is not None:
+            if np.shape(wish.velocity) != (2,):
+                raise ControlError(f"expected a velocity of two numbers, found {wish.velocity}")
+            x, z = map(float, wish.velocity)
+            wish = replace(wish, velocity=(x, z))
         numbers = (*(wish.velocity or ()), *(() if wish.facing is None else (wish.facing,)))
         if not all(math.isfinite(number) for number in numbers):
             raise ControlError(f"expected finite numbers for velocity and facing, found {numbers}")

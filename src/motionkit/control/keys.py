@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -80,9 +81,8 @@ class Key:
     def scaled(self, factor: float) -> Key:
         """The same key with place and points times a factor."""
         position = None if self.position is None else np.asarray(self.position) * factor
-        return replace(
-            self, position=position, joints={j: factor * place for j, place in self.joints.items()}
-        )
+        joints = {joint: factor * np.asarray(place) for joint, place in self.joints.items()}
+        return replace(self, position=position, joints=joints)
 
     @property
     def goal(self) -> Array | None:
@@ -148,6 +148,8 @@ def check_keys(keys: Sequence[Key], start: Array | None = ORIGIN) -> tuple[Key, 
 
     start is the place (2,) in cm of the body before the first frame; None if it is not known yet.
     """
+    if isinstance(keys, Key):
+        raise ControlError("expected a list of keys, found one Key")
     for key in keys:
         _check_numbers(key)
     ordered = tuple(sorted(keys, key=lambda key: key.seconds))
@@ -177,14 +179,22 @@ def _check_numbers(key: Key) -> None:
     """Raise ControlError for what is no key, or has a number that is not finite."""
     if not isinstance(key, Key):
         raise ControlError(f"expected a Key, found {str(key)[:40]}")
+    for joint in key.joints:
+        if isinstance(joint, bool) or not isinstance(joint, Integral) or not 0 <= joint < len(JOINT_NAMES):
+            raise ControlError(
+                f"the key at {key.seconds} s: joints: expected indices of canonical joints, 0 to "
+                f"{len(JOINT_NAMES) - 1}, found {str(joint)[:40]}"
+            )
     values = [("time", key.seconds, ()), ("position", key.position, (2,)), ("facing", key.facing, ())]
     values += [(JOINT_NAMES[joint], place, (3,)) for joint, place in key.joints.items()]
     for name, value, shape in values:
         if value is not None and (np.shape(value) != shape or not np.isfinite(value).all()):
             count = "a number" if not shape else f"{shape[0]} numbers"
             raise ControlError(
-                f"the key at {key.seconds:g} s: {name}: expected {count}, found {str(value)[:40]}"
+                f"the key at {key.seconds} s: {name}: expected {count}, found {str(value)[:40]}"
             )
+    if not key.seconds >= EARLIEST:
+        raise ControlError(f"a key at {key.seconds:g} s; expected {EARLIEST:g} s or later")
 
 
 def check_length(keys: Sequence[Key], seconds: float) -> None:

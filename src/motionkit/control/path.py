@@ -84,15 +84,17 @@ def make_path(parts: list[PathPart]) -> Path2D:
     """
     if not parts:
         raise ControlError("the path has no parts")
+    parts = [replace(part, points=_points(number, part)) for number, part in enumerate(parts, 1)]
     for number, part in enumerate(parts, 1):
-        points = np.asarray(part.points)
-        if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
-            raise ControlError(f"part {number} of the path ({part.type}): expected points (N, 2) of numbers")
+        if not 0.0 <= part.stop < math.inf:
+            raise ControlError(
+                f"part {number} of the path ({part.type}): expected a stop of 0 s or more, found {part.stop}"
+            )
         if part.speed is not None and not 0.0 < part.speed < math.inf:
             raise ControlError(
                 f"part {number} of the path ({part.type}): expected a speed above 0, found {part.speed}"
             )
-    corners = np.concatenate([part.points for part in parts]).astype(np.float64)
+    corners = np.concatenate([part.points for part in parts])
     last = np.cumsum([len(part.points) for part in parts]) - 1
     arcs = np.pad(length(np.diff(corners, axis=0)).cumsum(), (1, 0))[np.maximum(last, 0)]
     for number, (part, size) in enumerate(zip(parts, np.diff(arcs, prepend=0.0), strict=True), 1):
@@ -110,6 +112,17 @@ def make_path(parts: list[PathPart]) -> Path2D:
     made = (array.ctypes.data for array in (points, tangents, part_index))
     library.even_points(corners.ctypes.data, byref(words), len(parts), count, *made)
     return Path2D(points, tangents, part_index, tuple(parts))
+
+
+def _points(number: int, part: PathPart) -> Array:
+    """A copy of the points (N, 2) of a part; raises ControlError if they are none."""
+    try:
+        points = np.array(part.points, np.float64)
+    except (TypeError, ValueError):
+        points = np.zeros(0)
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise ControlError(f"part {number} of the path ({part.type}): expected points (N, 2) of numbers")
+    return points
 
 
 # ---- named shapes ----

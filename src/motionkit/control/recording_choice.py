@@ -170,7 +170,7 @@ class RecordingChoice:
             few: use few recordings of each type (few_clips), and enter those of gaits where a step begins.
         """
         self.model, self.choice, self.rests, self.few = model, choice, rests, few
-        self.random = random.Random(choice)
+        self.random = random.Random(int(choice))  # not of numpy
         self.draws = 0  # clips that have been drawn
         self.played = PlayedFrames(model.fps)
         self.stance: tuple[ReferenceClip, ...] = ()  # clips of standing, moved to the body's stance

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from motionkit.control.synthesize import SynthesisResult
     from motionkit.rig.rig import Rig
 
+LEAST_SECONDS, MOST_SECONDS = 0.1, 3600.0  # s, of a length to ask for
 SHORTEST = 0.4  # s, shortest cycle; half a step never looks like a cycle
 COARSE = 1200  # most frames in the first search; the second search refines the result at the full rate
 STRETCH = 120.0  # s, longest part of a clip that is searched at once, or four cycles: strides stay shorter than steps
@@ -152,8 +153,9 @@ def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = 
     A clip that is closed already is taken whole. If no cycle is as long as asked, a shorter one is repeated.
 
     Raises:
-        MotionkitError: the motion never repeats.
+        MotionkitError: the motion never repeats, or no loop can be so long.
     """
+    check_seconds(seconds)
     upright = Upright.of(motion)
     start, end, difference = _cycle(upright, seconds)
     times = 1
@@ -169,6 +171,13 @@ def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = 
     travels = float(np.linalg.norm(usual)) > STANDING_SPEED  # else strikes and jumps would be far from it
     at_pace = not travels or bool(_near_pace(upright.velocities[start:end].mean(axis=0), usual))
     return Loop(upright.back(closed), start, end, seam(closed), difference, times, at_pace)
+
+
+def check_seconds(seconds: float | None) -> None:
+    """Raise MotionkitError for the length of a loop that none can have; None is any length."""
+    if seconds is not None and not LEAST_SECONDS <= seconds <= MOST_SECONDS:
+        expected = f"expected a loop of {LEAST_SECONDS:g} to {MOST_SECONDS:g} s"
+        raise MotionkitError(f"{expected}, found {seconds:g}")
 
 
 def loop_seconds(wish: float | None) -> float:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from motionkit.errors import MotionkitError
 from motionkit.export.clip import Clip, check_numbers
-from motionkit.motion.motion import Motion
+from motionkit.motion.motion import Motion, as_motion
 from motionkit.names import visible
 from motionkit.reading import ALL, report_notes, user_animation, user_cm
 
@@ -49,15 +49,16 @@ def write_motion(path: str | Path, motion: Motion | Clip) -> None:
     """Write a motion atomically; the file's ending chooses the format.
 
     Args:
-        path: ends in .bvh, .glb, .vrma, .usda, .npz or .csv.
-        motion: a motion of any rig; a .bvh file keeps its unit, others use metres or centimetres.
+        path: its ending is one of WRITERS.
+        motion: a motion of any rig, or a result of synthesize, follow_path or loop; a .bvh file keeps its unit, others
+            use metres or centimetres.
 
     Raises:
         MotionkitError: the ending is unknown, the motion is not finite, or the file cannot be written.
         SkeletonError: a .vrma file for a rig that is not human.
     """
     write = _find(path)
-    clip = motion if isinstance(motion, Clip) else Clip(motion, Path(path).stem)
+    clip = motion if isinstance(motion, Clip) else Clip(as_motion(motion), Path(path).stem)
     check_numbers(path, clip.motion)
     write(path, clip)
 

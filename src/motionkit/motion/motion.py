@@ -104,6 +104,14 @@ def longest_seconds(fps: float) -> float:
     return 4 * 3600.0 if fps > 29.0 else 3600.0
 
 
+def as_motion(value: object) -> Motion:
+    """A motion, or that of a result or clip, which have it as `motion`; raises MotionkitError for anything else."""
+    found = value if isinstance(value, Motion) else getattr(value, "motion", None)
+    if not isinstance(found, Motion):
+        raise MotionkitError(f"expected a Motion, or a result that has one, found {str(value)[:40]!r}")
+    return found
+
+
 def resample(motion: Motion, fps: float) -> Motion:
     """Resample a motion to another frame rate: rotations by slerp, positions linearly.
 

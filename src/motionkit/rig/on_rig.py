@@ -15,7 +15,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
 from motionkit.reading import report_notes
-from motionkit.rig.built_in import rig_file
+from motionkit.rig.built_in import rig_file, rig_rate
 from motionkit.rig.character import Character, read_character
 from motionkit.rig.map_file import read_rig_map
 from motionkit.rig.names import RigMap
@@ -43,7 +43,7 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
         bvh = read_file(path)
         joints = None if map_path is None else read_rig_map(map_path, bvh.skeleton)
         with naming(path):
-            return make_rig(bvh, path.name, joints)
+            return replace(make_rig(bvh, path.name, joints), fps=rig_rate(path))
     found = read_character(path)
     joints = None if map_path is None else read_rig_map(map_path, found.skeleton)
     with naming(path):

@@ -13,12 +13,13 @@ from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
+from motionkit.reading import as_found
 from motionkit.rig.character import Character
 from motionkit.rig.gltf_nodes import VRM_BONES
 from motionkit.rig.names import RigMap
 from motionkit.rig.pose import RigPose, map_file, median_offsets, pose_notes, study_rig
 from motionkit.rig.rest_pose import SIDES
-from motionkit.rig.units import check_leg
+from motionkit.rig.units import check_leg, rig_unit
 
 # Plausible heights, in cm of the canonical body, of standing toes, or of ankles of a rig without toes. At other heights
 # the floor of the file is not at zero.
@@ -47,6 +48,7 @@ class Rig:
         notes: notes on its axes and rest pose.
         character: the .glb or .vrm file that it is from, into which motion on it is written; else None.
         under: whether the first joint goes along under the hips: over the ground, and up with them but not down.
+        fps: frame rate that readers of it expect; None for any.
     """
 
     name: str
@@ -61,6 +63,12 @@ class Rig:
     notes: tuple[str, ...]
     character: Character | None = None
     under: bool = False
+    fps: float | None = None
+
+    def size(self, body: Skeleton) -> float:
+        """The leg length of the rig relative to that of a body in cm: by this the places of a motion on it differ."""
+        with as_found():
+            return self.leg * rig_unit(self.skeleton, self.leg)[0] / leg_length(body)
 
     @property
     def scale(self) -> float:

@@ -224,12 +224,12 @@ def _check_facts(facts: dict[str, Any]) -> None:
         raise ModelError(f"options is {facts.get('options')!r:.60}, expected an object")
 
 
-def _check_fit(found: Mapping[str, TensorFacts], learner: Learner, facts: Mapping[str, Any]) -> None:
+def _check_fit(found: Mapping[str, TensorFacts], learner: Learner, run: Mapping[str, Any]) -> None:
     """Raise ModelError if a file does not have exactly the tensors of this run, with their shapes and types."""
     module, average = learner.module, learner.average
     expected = {f"weights.{name}": tuple(value.shape) for name, value in module.state_dict().items()}
     expected |= {f"average.{name}": tuple(value.shape) for name, value in average.items()}
-    for kind, there in (("block", "block" in facts), ("ends", facts.get("cycles", 0))):
+    for kind, there in (("block", "block" in run), ("ends", run.get("cycles", 0))):
         if there:
             expected |= {f"{kind}.{name}": tuple(value.shape) for name, value in average.items()}
     owners = _owners(learner)

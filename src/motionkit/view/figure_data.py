@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.motion.motion import Motion
+from motionkit.motion.motion import Motion, as_motion
 from motionkit.motion.rotations import matrix_to_quat
 from motionkit.rig.character import Character
 from motionkit.rig.sides import joint_sides
@@ -70,7 +70,7 @@ def motion_views(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[M
     if names and len(names) != len(motions):
         raise MotionkitError(f"expected a name for each of {len(motions)} motions, found {len(names)}")
     called = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
-    return [MotionView(name, motion) for name, motion in zip(called, motions, strict=True)]
+    return [MotionView(name, as_motion(motion)) for name, motion in zip(called, motions, strict=True)]
 
 
 def pack(values: NDArray, kind: str) -> dict[str, Any]:
