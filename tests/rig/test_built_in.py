@@ -24,8 +24,10 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_angle, quat_rotate, quat_to_matrix
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.rig.built_in import BUILT_IN, rig_file
+from motionkit.rig.on_rig import read_rig
 from motionkit.rig.retarget import retarget
 from motionkit.rig.rig import Rig
+from motionkit.rig.soles import Sole
 from motionkit.rig.standing_pose import ARMS
 from motionkit.rig.to_rig import to_rig
 from motionkit.rig.up_axis import turned_world, up_turn
@@ -122,6 +124,16 @@ def test_lafan1_has_the_axes_that_retargeters_expect() -> None:
         turn = axes[bvh.skeleton.index(name)]
         assert turn[:, 0] @ x > 0.994 and turn[:, 1] @ y > 0.999, name
     assert bvh.fps == pytest.approx(30.0)
+
+
+def test_a_rest_frame_stands_on_soles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mesh tells where the sole is, whatever height the toe joint has."""
+    rig = read_rig("@mixamo")
+    soles = tuple(Sole(np.zeros((0, 3)), np.zeros((0, 3)), depth, 4.0) for depth in (5.0, 6.5))
+    monkeypatch.setattr("motionkit.editing.rest_frame.read_soles", lambda _: soles)
+    places = motion_kinematics(with_rest_frame(on_rig(make_walk(60), rig), rig))[1]
+    toes = [places[0, rig.joints.places[f"{side}ToeBase"], 1] * rig.scale for side in ("Left", "Right")]
+    assert min(toes[0] - 5.0, toes[1] - 6.5) == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -21,6 +21,7 @@ from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton
 from motionkit.rig.rest_pose import SIDES, SourceRig, body_frame, is_standing
 from motionkit.rig.retarget import to_local
 from motionkit.rig.rig import Rig, make_rig, stance_part
+from motionkit.rig.soles import read_soles
 from motionkit.rig.standing_pose import standing_turns
 from motionkit.rig.to_rig import carry, standing_height, to_rig
 from motionkit.rig.up_axis import up_turn
@@ -114,9 +115,15 @@ def _at(rest: Motion, first: Motion, rig: Rig) -> Motion:
     here, there = (quat_rotate(up, points[0]) for points in (places, motion_kinematics(first)[1]))
     hips, part = rig.joints.places["Hips"], stance_part(rig.joints)
     shift = there[hips] - here[hips]
-    feet = [joint for side in SIDES if (joint := rig.place(f"{side}{part}")) is not None]
-    usual = STANDING_HEIGHTS[part == "ToeBase"]
-    shift[1] = standing_height(rig, usual) / rig.scale - min(here[feet, 1], default=0.0)
+    usual, soles = standing_height(rig, STANDING_HEIGHTS[part == "ToeBase"]), read_soles(rig)
+    depths = [usual, usual] if soles is None else [sole.depth for sole in soles]
+    feet = [rig.place(f"{side}{part}") for side in SIDES]
+    lowest = [
+        here[foot, 1] - depth / rig.scale
+        for foot, depth in zip(feet, depths, strict=True)
+        if foot is not None
+    ]
+    shift[1] = -min(lowest, default=0.0)
     shift = quat_rotate(quat_inverse(up), shift)
     moved = (
         np.repeat(rig.skeleton.offsets[None], 1, axis=0)
