@@ -70,6 +70,17 @@ def test_a_pop_is_bridged(clip: Motion) -> None:
     assert gaps.max() < 1.0
 
 
+@pytest.mark.parametrize("frame", [0, -1])
+def test_a_joint_that_leaps_at_an_end_is_held(clip: Motion, frame: int) -> None:
+    rotations, joint = clip.local_rotations.copy(), clip.skeleton.names.index("LeftArm")
+    away = expmap_to_quat(np.array([0.0, 0.0, 1.2], np.float32))
+    rotations[frame, joint] = quat_multiply(away, rotations[frame, joint])
+    fixed = fix_motion(replace(clip, local_rotations=rotations), replace(NONE, glitches=True))
+    assert (frame % len(clip), "LeftArm") in fixed.glitches and row(fixed, "glitches") == (1, 0)
+    near = clip.local_rotations[1 if frame == 0 else -2, joint]
+    assert float(quat_angle(fixed.motion.local_rotations[frame, joint], near)) < 1e-3
+
+
 def test_a_root_that_leaps_is_bridged(clip: Motion) -> None:
     """Spikes by a kilometre, and a lead-in elsewhere."""
     roots = clip.root_positions.copy()

@@ -69,6 +69,7 @@ class Breaks:
     # A break is this many times larger than each of the next `look_ahead` steps. Smaller values cut kicks.
     ratio: float = 3.5
     look_ahead: int = 8
+    held: int = 2  # most frames at an end in which a joint is held where nothing is cut
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,28 @@ def repair(
     repaired, pops = _repair_pops(unflipped)
     in_range, feet = repair_feet(repaired)
     return in_range, flips + pops + feet
+
+
+def hold_ends(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion with joints held that leap in its first or last frames, and these frames and joints.
+
+    clean cuts such frames off; here the clip keeps its length.
+    """
+    if len(motion) < BREAKS.look_ahead:
+        return motion, []
+    rotations, names = motion.local_rotations.copy(), motion.skeleton.names
+    held: list[tuple[int, str]] = []
+    for step in (1, -1):
+        inwards = rotations[::step]  # a view
+        breaks = _breaks(
+            _angle(inwards[:-1], inwards[1:]), max(1.0, 60.0 / motion.fps) * BREAKS.joint, BREAKS.held
+        )
+        for joint in np.flatnonzero(breaks.any(axis=0)).tolist():
+            count = _last_true(breaks[:, joint])
+            inwards[:count, joint] = inwards[count, joint]
+            frames = range(count) if step > 0 else range(len(motion) - count, len(motion))
+            held += [(frame, names[joint]) for frame in frames]
+    return (replace(motion, local_rotations=quat_continuous(rotations)), held) if held else (motion, [])
 
 
 def _steps(motion: Motion) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from motionkit.arrays import Array, length
-from motionkit.data.cleaning import Limb, repair
+from motionkit.data.cleaning import Limb, hold_ends, repair
 from motionkit.data.smoothing import smooth, smooth_rotations, window_at
 from motionkit.editing.root_from_feet import root_from_feet
 from motionkit.errors import MotionkitError, SkeletonError
@@ -233,13 +233,15 @@ def _without_glitches(motion: Motion, joints: _Joints) -> tuple[Motion, list[tup
 
 
 def _repaired(motion: Motion, joints: _Joints) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion without flipped limbs, pops and feet beyond the range of the ankle, and the repaired frames."""
+    """The motion without flipped limbs, pops, leaps at its ends and feet out of range, and the repaired frames."""
 
     def repair_feet(made: Motion) -> tuple[Motion, list[tuple[int, str]]]:
         canonical = Upright(made).canonical if any(joints.feet) else None
         return (made, []) if canonical is None else repair_ankles(made, canonical, joints.feet)
 
-    return repair(motion, joints.limbs, repair_feet)
+    repaired, found = repair(motion, joints.limbs, repair_feet)
+    held, ends = hold_ends(repaired)
+    return held, found + ends
 
 
 def _without_spikes(motion: Motion) -> tuple[Motion, int]:
