@@ -72,7 +72,7 @@ def test_limbs_keep_their_directions(rig: Rig, make: Callable[[], Motion]) -> No
 @MAKERS
 def test_back_from_a_file(rig: Rig, make: Callable[[], Motion], tmp_path: Path) -> None:
     source = make()
-    mk.write(tmp_path / "out.bvh", mk.retarget(source, rig, ik=False))
+    mk.write(tmp_path / "out.bvh", mk.retarget(source, rig, ik=False, fps=source.fps))
     back = retarget(read_bvh(tmp_path / "out.bvh"), rig=rig)[0]
     index = [JOINT_NAMES.index(name) for name in rig.joints.places]
     one, other = (motion_kinematics(motion)[0][:, index] for motion in (source, back))

@@ -296,7 +296,7 @@ def test_a_root_bone_goes_down_with_the_hips_only_for_other_skin_than_feet(
     assert np.abs(body - motion_kinematics(first)[1][:, hips]).max() < 1e-5
     assert np.abs((body - root)[:, [0, 2]] - (body - root)[0, [0, 2]]).max() < 1e-5
     assert root[:, 1].max() > 0.2 and np.ptp(body[:, 1]) > 0.5
-    assert (root[:, 1].min() < -0.2) == (key == "belt on root") and (root[:, 1].min() > -0.01) == rig.under
+    assert (root[:, 1].min() < -0.2) == (key == "belt on root") and (root[:, 1].min() > -0.01) == rig.character.under
 
 
 @pytest.mark.filterwarnings("error")
@@ -308,7 +308,7 @@ def test_weights_of_any_size_are_shares(tmp_path: Path) -> None:
     struct.pack_into("<4f", data, first, *[3e38] * 4)
     (tmp_path / "hero.glb").write_bytes(data)
     rig = read_rig(tmp_path / "hero.glb")
-    assert read_soles(rig) is not None and rig.under
+    assert read_soles(rig) is not None and rig.character.under
 
 
 @pytest.mark.parametrize("where", ["beside", "along"])

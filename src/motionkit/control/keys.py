@@ -143,15 +143,20 @@ def key_files(path: str | Path) -> tuple[Path, ...]:
     return tuple(Path(path).parent / name for name in sorted(set(map(_file_of, entries)) - {""}))
 
 
-def check_keys(keys: Sequence[Key], start: Array | None = ORIGIN) -> tuple[Key, ...]:
+def check_keys(
+    keys: Sequence[Key], start: Array | None = ORIGIN, earliest: float = EARLIEST
+) -> tuple[Key, ...]:
     """Return the keys in order of time; raises ControlError if they contradict each other.
 
-    start is the place (2,) in cm of the body before the first frame; None if it is not known yet.
+    start is the place (2,) in cm of the body before the first frame; None if it is not known yet. earliest is the
+    earliest time in seconds.
     """
     if isinstance(keys, Key):
         raise ControlError("expected a list of keys, found one Key")
     for key in keys:
         _check_numbers(key)
+        if key.seconds < earliest:
+            raise ControlError(f"a key at {key.seconds:g} s; expected {earliest:g} s or later")
     ordered = tuple(sorted(keys, key=lambda key: key.seconds))
     before = Key(0.0, position=start)
     for number, key in enumerate(ordered):
@@ -193,8 +198,6 @@ def _check_numbers(key: Key) -> None:
             raise ControlError(
                 f"the key at {key.seconds} s: {name}: expected {count}, found {str(value)[:40]}"
             )
-    if not key.seconds >= EARLIEST:
-        raise ControlError(f"a key at {key.seconds:g} s; expected {EARLIEST:g} s or later")
 
 
 def check_length(keys: Sequence[Key], seconds: float) -> None:

@@ -148,7 +148,8 @@ def synthesize(
         if any(model.body_scale(name) != share for name in names[: options.count]):
             raise ControlError("keys take bodies with legs of one length; make the motions one by one")
         for each in starts:
-            check_keys(options.keys, share * each.start.ground[0, :2])
+            # Gaps of in-betweening may be shorter than those that users' keys may have.
+            check_keys(options.keys, share * each.start.ground[0, :2], earliest=1.0 / model.fps)
         keyed = [plan_keys(plan, options.keys) for plan in plans]
         controller = KeyedController(model, crowd, keyed, starts, share)
     limits = [acceleration_limit(model, [part.type for part in plan.parts]) for plan in plans]

@@ -41,11 +41,14 @@ class Character:
         tree: the file and its nodes.
         nodes: the node of each joint.
         skeleton: the joints, in metres; the root's offset is its place in the world.
+        under: whether the first joint of a rig goes along under the hips: over the ground, and up with them but not
+            down.
     """
 
     tree: GltfNodes
     nodes: tuple[int, ...]
     skeleton: Skeleton
+    under: bool = False
 
     @property
     def has_mesh(self) -> bool:

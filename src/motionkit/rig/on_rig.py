@@ -52,11 +52,11 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
             report_notes(path, ("meshes that no skin binds to its bones, so they will not move",))
         whole, under = _along(found, joints)
         bvh = found.bvh({0} if whole else {0, top_joint(found.skeleton, joints)})
-        return replace(make_rig(bvh, path.name, joints), character=found, under=under)
+        return replace(make_rig(bvh, path.name, joints), character=replace(found, under=under))
 
 
 def _along(found: Character, joints: RigMap) -> tuple[bool, bool]:
-    """Whether the first joint goes wherever the hips go, and whether it goes along under them (Rig.under).
+    """Whether the first joint goes wherever the hips go, and whether it goes along under them (Character.under).
 
     Skin of the root bone, or of a prop below it, would stay behind if the hips alone moved. If it is skin of feet, as
     some percent of a heel may be by mistake, a root that sinks with the hips would press it through the floor.

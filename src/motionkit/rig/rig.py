@@ -47,7 +47,6 @@ class Rig:
             file does not show it.
         notes: notes on its axes and rest pose.
         character: the .glb or .vrm file that it is from, into which motion on it is written; else None.
-        under: whether the first joint goes along under the hips: over the ground, and up with them but not down.
         fps: frame rate that readers of it expect; None for any.
     """
 
@@ -62,7 +61,6 @@ class Rig:
     stance: float | None
     notes: tuple[str, ...]
     character: Character | None = None
-    under: bool = False
     fps: float | None = None
 
     def size(self, body: Skeleton) -> float:

@@ -237,7 +237,7 @@ def carry(rig: Rig, places: Array, turned: Array, shift: Array) -> None:
     """
     moved = mover(rig.skeleton, rig.channels, rig.joints)
     assert moved is not None  # make_rig has checked it
-    if rig.under:
+    if rig.character is not None and rig.character.under:
         down = np.minimum(shift @ rig.up, 0.0)[:, None] * rig.up
         places[:, 0] += shift - down
         shift = down

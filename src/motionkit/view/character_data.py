@@ -66,7 +66,7 @@ def rig_joints(rig: Rig, raised: Array, lift: Array) -> dict[str, Any]:
             [nodes[joint], carrier, *_numbers(quat_multiply(back[carrier], turns[joint]))]
             for joint, carrier in sorted(turning_joints(rig).items())
         ],
-        "moves": [[nodes[0], *place, True]] * rig.under + [[nodes[moved], *place, False]],
+        "moves": [[nodes[0], *place, True]] * character.under + [[nodes[moved], *place, False]],
         "raised": _numbers(raised / 100.0),
         "lift": _numbers(lift / 100.0),
         "twists": [
