@@ -225,6 +225,8 @@ def test_a_crowd_and_a_path_file(tmp_path: Path) -> None:
     crowd = mk.synthesize(["walking:0.2", "idle:0.3"], model=model)
     assert [len(one.motion) for one in crowd.motions] == [12, 18]
     (tmp_path / "way.csv").write_text("x,z,type\n0,0,walking\n0,0.5,walking\n")
+    two = mk.synthesize("idle:0.2", model=model, character="default,subject-16")
+    assert len(two.motions) == 2, "one for each body"
     assert mk.follow_path(tmp_path / "way.csv", model=model).finished
     with pytest.raises(mk.MotionkitError, match="unknown path shape 'oval'"):
         mk.follow_path("oval", model=model)
@@ -270,6 +272,11 @@ def test_training_without_torch_says_what_to_install() -> None:
         ([], {}, "expected at least one motion type"),
         ("walking", {"seconds": float("nan")}, "expected a length above 0 s, found nan"),
         ("walking", {"noise": "mean"}, "expected noise such as mk.Noise"),
+        (
+            ["walking", "idle", "running"],
+            {"count": 2},
+            "expected a count of 3 or more, one for each list of types",
+        ),
         ("walking", {"keys": [{"time": 1}]}, "expected a Key, found"),
     ],
 )

@@ -163,7 +163,11 @@ def synthesis_request(
     met = read_keys(keys, model, start) if isinstance(keys, (str, Path)) else check_keys(keys, start)
     check_length(met, min(sum(part.seconds for part in plan) for plan in plans))
     synthesis = SynthesisOptions(**options, keys=met)
-    return SynthesisRequest(model, plans, replace(synthesis, count=max(synthesis.count, len(plans))))
+    if 1 < synthesis.count < len(plans):
+        expected = f"a count of {len(plans)} or more, one for each list of types"
+        raise ControlError(f"expected {expected}, found {synthesis.count}")
+    count = max(synthesis.count, len(plans), len(synthesis.character.split(",")))
+    return SynthesisRequest(model, plans, replace(synthesis, count=count))
 
 
 def loop_wish(types: str | Sequence[str], seconds: float | None) -> float | None:

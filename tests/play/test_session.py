@@ -225,6 +225,7 @@ def test_a_path_with_stops_is_made_of_parts(session: Session) -> None:
         ({"do": "wish", "type": "flying"}, "unknown motion type 'flying'"),
         ({"do": "perform", "type": "walkin"}, "did you mean 'walking'"),
         ({"do": "path", "points": [[0, 0], [0, 1]]}, "expected at least 4 cm"),
+        ({"do": "path", "points": [[500, 0], [500, 1]]}, "the path is 1.0 cm long, expected at least 4 cm"),
         ({"do": "path", "points": [[0, 0], [0, 60000]]}, "at most 50000 cm are allowed"),
         ({"do": "path", "points": [[900000, 0], [900000, 100]]}, "at most 50000 cm are allowed"),
         ({"do": "path", "points": [[0, 0], [0, 100]], "type": "flying"}, "unknown motion type"),

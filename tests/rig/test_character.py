@@ -296,7 +296,9 @@ def test_a_root_bone_goes_down_with_the_hips_only_for_other_skin_than_feet(
     assert np.abs(body - motion_kinematics(first)[1][:, hips]).max() < 1e-5
     assert np.abs((body - root)[:, [0, 2]] - (body - root)[0, [0, 2]]).max() < 1e-5
     assert root[:, 1].max() > 0.2 and np.ptp(body[:, 1]) > 0.5
-    assert (root[:, 1].min() < -0.2) == (key == "belt on root") and (root[:, 1].min() > -0.01) == rig.character.under
+    assert (root[:, 1].min() < -0.2) == (key == "belt on root") and (
+        root[:, 1].min() > -0.01
+    ) == rig.character.under
 
 
 @pytest.mark.filterwarnings("error")

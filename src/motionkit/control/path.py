@@ -23,6 +23,7 @@ from motionkit.names import nfc, unknown_name
 
 METRE = 100.0
 SPACING = 2.0  # cm between the points a path is resampled to, as steering_kernel.c has it
+SHORTEST = 2 * SPACING  # cm, of a part
 MAX_LENGTH = 10_000 * METRE
 IN_METRES = "paths are in metres: divide by 100 if yours is in centimetres"
 MAX_COORDINATE = 5000.0  # metres; places in float32 are exact to 0.03 cm there, and a body shakes further out
@@ -98,9 +99,11 @@ def make_path(parts: list[PathPart]) -> Path2D:
     last = np.cumsum([len(part.points) for part in parts]) - 1
     arcs = np.pad(length(np.diff(corners, axis=0)).cumsum(), (1, 0))[np.maximum(last, 0)]
     for number, (part, size) in enumerate(zip(parts, np.diff(arcs, prepend=0.0), strict=True), 1):
-        if size < 2 * SPACING:
+        if size < SHORTEST:
             one = "has one point" if len(corners) == 1 else f"is {size:.1f} cm long"
-            raise ControlError(f"part {number} of the path ({part.type}) {one}, expected at least 4 cm")
+            raise ControlError(
+                f"part {number} of the path ({part.type}) {one}, expected at least {SHORTEST:g} cm"
+            )
     if arcs[-1] > MAX_LENGTH:
         raise ControlError(
             f"the path is {arcs[-1] / METRE:,.0f} m long, expected at most {MAX_LENGTH / METRE:,.0f} m; {IN_METRES}"

@@ -59,6 +59,7 @@ MOST_APART, APART, APART_SHARE = 3, 10.0, 8.0
 WORSE_SHARE = 1.05
 WORSE = {"jerk": 0.02, "afs": 0.005, "floor": 0.02, "standing-speed": 0.1}
 WORSE_BESIDE = {"afs": 0.02, "penetration-max": 0.5, "jerk": 0.02}
+WORSE_IN_ALL = WORSE_BESIDE | {"standing-speed": 2.0}
 # cm that a pass moves joints, in the mean and at most, and radians that it turns them, below which it is left out
 # and repairs end: nobody sees them.
 SEEN_MEAN, SEEN, SEEN_TURN = 0.05, 1.0, 1.0
@@ -130,8 +131,8 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
     glitches: list[tuple[int, str]] = []
     notes: list[str] = []
     if first:
-        words = "frame is" if first == 1 else f"{first} frames are"
-        notes = [f"the first {words} no part of the motion, such as a rest pose: left as it is"]
+        words = ("frame is", "it is") if first == 1 else (f"{first} frames are", "they are")
+        notes = [f"the first {words[0]} no part of the motion, such as a rest pose: left as {words[1]}"]
     refused: dict[str, str] = {}
     for number in range(PASSES):
         tried = _one_pass(made, repairs, rig, joints, costs)
@@ -142,8 +143,11 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         made, glitches = tried.motion, [*glitches, *tried.glitches]
     if made is source.motion:
         same = costs.table(source, source, (len(found),) * 2)
-        return Fixed(motion, same, (), (*notes, *refused.values(), "nothing to repair"))
-    table = costs.table(source, Upright(made), (len(found), len(_repaired(made, joints)[1])))
+        end = "nothing was changed" if refused else "nothing to repair"
+        return Fixed(motion, same, (), (*notes, *refused.values(), end))
+    after = Upright(made)
+    notes += _worse_in_all(costs.of(source), costs.of(after))
+    table = costs.table(source, after, (len(found), len(_repaired(made, joints)[1])))
     repaired_frames = tuple(dict.fromkeys((frame + first, joint) for frame, joint in glitches))
     return Fixed(
         motion.cut(0, first).followed_by(source.back(made)),
@@ -276,7 +280,7 @@ class _Step(NamedTuple):
 
 def _steps(repairs: Repairs, rig: RigMap | None) -> list[_Step]:
     """The chosen repairs after those of glitches, in order."""
-    floor, sliding = Repairs(sliding=False), Repairs(floor=False)
+    floor, sliding = replace(repairs, floor=True, sliding=False), Repairs(floor=False)
     steps = [
         (
             repairs.trembling,
@@ -296,8 +300,20 @@ def _made_worse(step: _Step, was: dict[str, float], now: dict[str, float], first
     for name, before in limits.items():
         slack = (WORSE if name == step.measure else WORSE_BESIDE)[name]
         if now.get(name, 0.0) > WORSE_SHARE * before + slack:
-            return f"it made it worse ({MEASURED.get(name, name)} {before:.3g} to {now[name]:.3g})"
+            what = MEASURED.get(name, "feet off the floor, cm:")
+            return f"it made it worse ({what} {before:.3g} to {now[name]:.3g})"
     return ""
+
+
+def _worse_in_all(first: dict[str, float], last: dict[str, float]) -> list[str]:
+    """Notes on what is worse than in the source after all passes, each of which may have made it a little worse."""
+    worse = {
+        name: f"{first[name]:.3g} to {last[name]:.3g}"
+        for name, slack in WORSE_IN_ALL.items()
+        if name in first and last.get(name, 0.0) > WORSE_SHARE * first[name] + slack
+    }
+    less = "a smaller --strength changes less"
+    return [f"{MEASURED[name]} is worse than before ({change}); {less}" for name, change in worse.items()]
 
 
 def _overturned(before: Upright, after: Upright) -> str:
@@ -442,7 +458,7 @@ def _on_the_floor(upright: Upright, rig: RigMap | None, repairs: Repairs) -> tup
         before = replace(canonical, root_positions=canonical.root_positions + up)
         raised = moved_like(raised, rig, before, finish(before, upright.contacts, Finish(drawn=False)))
     sure = all(f"{side}ToeBase" in rig.places for side in SIDES) or abs(shift) > FAR_OFF
-    if repairs.floor and not sure:
+    if repairs.floor and not sure and not repairs.root_from_feet:
         notes = (*notes, "the rig has no toes, which show where its floor is: it was left where it is")
     if not (repairs.floor and sure):
         raised = replace(raised, root_positions=raised.root_positions - up)

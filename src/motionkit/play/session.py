@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.control.drive import Driver, Wish
-from motionkit.control.path import PathPart, make_path
+from motionkit.control.path import SHORTEST, PathPart, make_path
 from motionkit.control.steering import steered_type
 from motionkit.errors import ControlError
 from motionkit.inference.character import CharacterStream, model_first_type
@@ -85,6 +85,9 @@ class Character:
         """
         if stops and stops[-1][0] >= len(points):
             raise ControlError(f"expected stops at points 1 to {len(points) - 1}, found {stops[-1][0]}")
+        drawn = sum(map(math.dist, points, points[1:]))
+        if drawn < SHORTEST:
+            raise ControlError(f"the path is {drawn:.1f} cm long, expected at least {SHORTEST:g} cm")
         x, z = self.stream.ground[0, :2].tolist()
         start = [(x, z)] if math.dist(points[0], (x, z)) > PATH_JOINS_WITHIN else []
         if kind is None:

@@ -217,14 +217,15 @@ def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
     return small, RigMap(places, turns, exchanged=rig.exchanged)
 
 
-def pose_notes(pose: RigPose) -> tuple[str, ...]:
-    """Notes on how the source's axes and rest pose differ."""
+def pose_notes(pose: RigPose, known: bool = False) -> tuple[str, ...]:
+    """Notes on how the source's axes and rest pose differ; known: the rest pose is that of a given rig."""
     up, frame, differences = pose.up, pose.frame, pose.differences
     notes = [EXCHANGED] if pose.source.rig.exchanged else []
     if float(up[1]) < 0.5:
         notes.append(f"up axis {up_name(up)} turned to +Y")
     if not pose.standing:
-        notes.append("the rest pose is not a standing human; rest rotations were taken from the motion")
+        taken = "the rig" if known else "the motion"
+        notes.append(f"the rest pose is not a standing human; rest rotations were taken from {taken}")
         return tuple(notes)
     facing = quat_rotate(frame, np.array([0.0, 0.0, 1.0], np.float32))
     axis = int(np.abs(facing).argmax())

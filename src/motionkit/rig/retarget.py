@@ -133,7 +133,7 @@ def retarget(
         scale_source=scale_source,
         leg_length=leg * scale,
         root_scale=root_scale,
-        notes=_map_notes(full_map, names) + pose_notes(pose) + body_notes,
+        notes=_map_notes(full_map, names) + pose_notes(pose, rig is not None) + body_notes,
         body=body,
     )
     return motion, report

@@ -57,10 +57,10 @@ class EvaluationSettings:
         if not (
             first <= self.first_seed and self.first_seed + MOST_SEEDS <= end and self.seeds <= MOST_SEEDS
         ):
-            last = f"{end - MOST_SEEDS}" if self.split == "validation" else "any"
+            expected = f"{first} to {end - MOST_SEEDS}" if self.split == "validation" else f"{first} or more"
             raise ControlError(
                 f"seed {self.first_seed} with {self.seeds} roll-outs per type does not belong to the {self.split} "
-                f"split: expected a first seed from {first} to {last} and at most {MOST_SEEDS} roll-outs; seeds below "
+                f"split: expected a first seed of {expected} and at most {MOST_SEEDS} roll-outs; seeds below "
                 f"{SEEDS['test'][0]} are for validation, the others for the test"
             )
 
