@@ -427,6 +427,28 @@ def test_a_path_has_a_type_and_stops(page: Page) -> None:
     assert shown.count("dance-salsa") > 200
 
 
+def test_a_path_of_another_type_begins_with_a_blend(page: Page) -> None:
+    """And first steps end where another type is shown, so that a return to the gait does not go on with them."""
+    weights, left = page.evaluate(
+        """() => {
+          const { world } = motionkit.link, again = new world.constructor(world.kernel, 3), weights = [];
+          const path = (type) => ({ do: "path", points: [[0, 60], [0, 460]], type, speed: 80, stops: [] });
+          const { driver } = again.characters.values().next().value;
+          const salsa = again.model.types.findIndex((type) => type.name === "dance-salsa");
+          again.obey(path("walking"));
+          for (let frame = 0; frame < 60; frame++) again.step();
+          again.obey(path("dance-salsa"));
+          for (let frame = 0; frame < 30; frame++) { again.step(); weights.push(driver.weights[salsa]); }
+          const steps = driver.firstSteps;
+          steps.begin(0, 100);
+          steps.reference(1, {});
+          return [weights, steps.left];
+        }"""
+    )
+    assert 0.0 < weights[0] < 0.2 and weights[-1] == 1.0 and np.diff(weights).max() < 0.2
+    assert left == 0
+
+
 def test_the_hand_rests_where_a_drawn_path_is_to_stop(page: Page) -> None:
     page.evaluate("motionkit.stage.look(motionkit.stage.controls.target.clone(), 0.5, 1.0, 7)")
     page.keyboard.press("p")
@@ -526,7 +548,8 @@ def test_who_gets_another_body_begins_anew(visit: Callable[..., Page]) -> None:
     page.close()
 
 
-def test_one_finger_draws_and_a_key_ends_it(visit: Callable[..., Page]) -> None:
+@pytest.mark.parametrize("key", ["Backspace", "Escape"])
+def test_one_finger_draws_and_a_key_ends_it(visit: Callable[..., Page], key: str) -> None:
     page = visit()
     faults: list[str] = []
     page.on("pageerror", lambda error: faults.append(str(error)))
@@ -542,7 +565,7 @@ def test_one_finger_draws_and_a_key_ends_it(visit: Callable[..., Page]) -> None:
         clientY: 300, button: 0, bubbles: true })); }"""
     )
     page.mouse.move(400, 280, steps=4)
-    page.keyboard.press("Backspace")
+    page.keyboard.press(key)
     page.mouse.move(420, 290, steps=4)
     page.mouse.up()
     assert page.evaluate(ribbon) is None and not faults

@@ -61,8 +61,10 @@ def type_tracks(model: MotionModel, name: str) -> list[Track]:
 
 
 def _track(model: MotionModel, name: str, choice: int) -> Track:
-    kind, player = model.types[name], ReferencePlayer(model, choice)
-    player.begin(name)
+    kind = model.types[name]
+    steered = kind.kind.steered  # first steps from standing, as control/memory.py has them
+    player = ReferencePlayer(model, choice, few=steered)
+    player.begin(name, speed=0.0 if steered else None)
     assert player.clip is not None
     performance = (
         player.event_frames() + (0 if kind.kind is MotionKind.PERFORMANCE else AFTER_EVENT)

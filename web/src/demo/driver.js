@@ -30,6 +30,7 @@ export class Driver {
     this.#known(path.type);
     this.follower = new Follower(this.body, path, this.#stands, this.choice);
     this.wish = NOTHING;
+    if (this.target === null) Object.assign(this, { from: this.weights, blended: 0 }); // another path may be of another type
   }
 
   /** Performs a type once, then returns to the wish. A second performance waits for the first to end. */

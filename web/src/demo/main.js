@@ -38,7 +38,7 @@ function tools(play) {
     if (!address) play.say("So much was asked for that it does not fit into a link. Load the page anew and begin again.");
     else {
       history.replaceState(null, "", address);
-      const link = element("a", { href: address }, "Link");
+      const link = element("a", { href: address, onclick: () => location.reload() }, "Link"); // it is the page's own address
       const copied = navigator.clipboard?.writeText(address) ?? Promise.reject(); // browsers copy on safe pages only
       await copied.then(() => play.say(link, " copied: it does all of this again."), () => play.say(link, ": it does all of this again. It is in the address bar too."));
     }
@@ -52,7 +52,11 @@ function tools(play) {
 
 /** Puts a user's file on the steered character, or says what is wrong with it. */
 async function wear(play, file) {
-  const { link } = play;
+  const { link, chosen } = play;
+  if (play.facts.get(chosen)?.recording) {
+    play.say(`End the recording, then give ${file.name} again: a recording is of one body.`);
+    return;
+  }
   try {
     play.say(`Reading ${file.name} …`);
     const body = await heroBody(file, link.bodies.default, rigs);
@@ -60,7 +64,7 @@ async function wear(play, file) {
     let name = `${stem}${ending ?? ".glb"}`;
     for (let n = 2; link.bodies[name]; n++) name = `${stem} ${n}${ending ?? ".glb"}`;
     link.bodies[name] = body;
-    play.offer(name);
+    play.offer(name, chosen);
     play.say(`${file.name} stays on this machine. Record gives it back with the motion in it.`);
   } catch (error) {
     play.say(`${file.name}: ${error.message}.`);

@@ -90,7 +90,8 @@ export class FirstSteps {
 
   /** The controls of the next frame of a gait, with a reference during its first steps. */
   reference(type, controls) {
-    if (type !== this.player.type || this.left === 0) return controls;
+    if (type !== this.player.type) this.left = 0; // a change of type ends them, also for a return to it
+    if (this.left === 0) return controls;
     this.left -= 1;
     const { reference, gain } = this.player.next(controls.trajectory);
     return { ...controls, reference, gain };

@@ -23,10 +23,11 @@ export class Labels {
       if (!span) {
         span = document.createElement("span");
         span.textContent = text;
-        if (name) Object.assign(span, { className: "name" }).style.color = name;
+        if (name) span.className = "name";
         this.box.append(span);
         this.spans.set(key, span);
       }
+      if (name) span.style.color = name; // removals give other colours
       const left = ((at.x + 1) / 2) * width;
       let top = ((1 - at.y) / 2) * height;
       if (!name) {

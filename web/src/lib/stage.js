@@ -37,6 +37,7 @@ export class Stage {
     this.#ground();
     this.frames = 0;
     this.dirty = true;
+    canvas.addEventListener("webglcontextrestored", () => this.invalidate());
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     this.resize();
     this.theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";

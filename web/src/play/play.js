@@ -347,6 +347,7 @@ export class Play {
 
   // Steers a character, which goes on with its dance or path; nothing is sent before the user steers.
   #take(id) {
+    this.#forgetStroke();
     const { sent, mode } = this.left.get(id) ?? { sent: standing(id), mode: null };
     Object.assign(this, { chosen: id, sent });
     this.#setMode(mode);
@@ -371,6 +372,11 @@ export class Play {
     this.#setMode(null);
     this.pathOf = this.chosen;
     this.sent = standing(this.chosen);
+  }
+
+  // A stroke that is being drawn has a ribbon, but is no character's path yet.
+  #forgetStroke() {
+    if (this.ribbon && this.pathOf === null) this.#forgetPath();
   }
 
   #forgetPath() {
@@ -456,6 +462,7 @@ export class Play {
 
   #setDrawing(on) {
     this.drawing = on;
+    if (!on) this.#forgetStroke();
     if (on) this.sheets.show(null); // drawing needs the ground to be visible
     this.stage.controls.enabled = !on;
     $("scene").classList.toggle("drawing", on);
@@ -477,8 +484,8 @@ export class Play {
         target.blur();
       }
       if ((target.type === "range" && event.key.startsWith("Arrow"))) return;
-      if (!event.repeat) this.touched = event.timeStamp;
       if (this.steering.key(event, true)) {
+        if (!event.repeat) this.touched = event.timeStamp;
         event.preventDefault();
         return;
       }
@@ -490,6 +497,7 @@ export class Play {
       // Shift+Tab always moves the focus. Tab does so too, unless several characters exist and the scene has the focus.
       const onPage = target === document.body || target === $("scene");
       if (!action || (key === "Tab" && (this.mine.length < 2 || event.shiftKey || !onPage))) return;
+      if (type) this.touched = event.timeStamp;
       action();
       event.preventDefault();
     });
@@ -623,13 +631,13 @@ export class Play {
     }
   }
 
-  /** Offers one more body, and puts it on the steered character. */
-  offer(name) {
+  /** Offers one more body, and puts it on a character. */
+  offer(name, character = this.chosen) {
     if (!this.hello.bodies.some((body) => body.name === name)) this.hello.bodies.push({ name });
     this.rigs.delete(name);
     this.#tools();
     this.#who();
-    this.link.ask("body", { character: this.chosen, body: name });
+    this.link.ask("body", { character, body: name });
   }
 
   add() {
@@ -683,7 +691,8 @@ export class Play {
       other.onclick = async (event) => {
         if (other.href.startsWith("blob:")) return;
         event.preventDefault();
-        const shown = this.characters.get(character) ?? this.own;
+        const shown = [this.characters.get(character), ...this.characters.values()].find((one) => one?.figure.mesh);
+        if (!shown) return void (other.textContent = `as ${ending.toUpperCase()}: first show a character in a body of motionkit`);
         other.href = await make(shown.figure);
         other.click();
       };

@@ -76,6 +76,7 @@ class Viewer {
 
   /** Places motions side by side along x, or all where they were recorded. */
   #arrange() {
+    if (!this.followed) this.aside = [0, 0]; // it was that of the arrangement before
     const boxes = this.tracks.map(({ clip }) => clip.box);
     const leaps = this.tracks.map(({ clip }) => leaping(clip));
     const widths = boxes.map((box, n) => (leaps[n] ? SLOT : Math.max(0.9, box[2] - box[0])));
