@@ -390,16 +390,16 @@ def test_a_drawn_path_is_followed(page: Page) -> None:
     page.mouse.down()
     for n in range(1, 13):
         page.mouse.move(x - 14 * n, y - 4 * n)
-    points = page.evaluate("Array.from(motionkit.ribbon.geometry.attributes.position.array)")
+    points = page.evaluate("Array.from(motionkit.stroke.geometry.attributes.position.array)")
     page.mouse.up()
     page.keyboard.press("p")
-    assert page.evaluate("motionkit.pathOf === motionkit.chosen")
+    assert page.evaluate("motionkit.paths.has(motionkit.chosen) && motionkit.stroke === null")
     middle = [
         ((points[i] + points[i + 3]) / 2, (points[i + 2] + points[i + 5]) / 2)
         for i in range(0, len(points), 6)
     ]
     assert math.dist(middle[0], middle[-1]) > 1.0
-    page.wait_for_function("motionkit.pathOf === null", timeout=PATIENCE)  # it arrived
+    page.wait_for_function("motionkit.paths.size === 0", timeout=PATIENCE)  # it arrived
     track = page.evaluate("motionkit.track")
     assert math.dist(track[-1], middle[-1]) < 0.6
     near = [min(math.dist(point, step) for step in track) for point in middle]

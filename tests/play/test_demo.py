@@ -460,7 +460,7 @@ def test_the_hand_rests_where_a_drawn_path_is_to_stop(page: Page) -> None:
     page.mouse.down()
     for n in range(1, 7):
         page.mouse.move(x - 14 * n, y - 4 * n)
-    page.wait_for_function("motionkit.ribbon.children.length > 0", timeout=PATIENCE)
+    page.wait_for_function("motionkit.stroke.children.length > 0", timeout=PATIENCE)
     page.mouse.move(x - 120, y + 20)
     page.mouse.move(x - 140, y + 40)
     page.mouse.up()
@@ -510,9 +510,9 @@ def test_a_body_stays_while_it_is_recorded_and_a_path_goes_with_its_character(
     assert "there is room for 20" in " ".join(page.evaluate("motionkit.said"))
     worn = page.evaluate("[...motionkit.link.world.characters.values()].map(({ worn }) => worn)")
     assert worn == ["default"] * 20
-    page.evaluate("motionkit.pathOf = motionkit.mine[1]")
+    page.evaluate("motionkit.paths.set(motionkit.mine[1], null)")
     page.evaluate("motionkit.link.ask('remove', { character: motionkit.mine[1] })")
-    page.wait_for_function("motionkit.pathOf === null", timeout=PATIENCE)
+    page.wait_for_function("motionkit.paths.size === 0", timeout=PATIENCE)
     page.close()
 
 
@@ -536,9 +536,9 @@ def test_who_gets_another_body_begins_anew(visit: Callable[..., Page]) -> None:
     page.evaluate("motionkit.link.bodies.other = motionkit.link.bodies.default; motionkit.offer('default')")
     page.evaluate("motionkit.perform('balance')")
     page.wait_for_function("motionkit.sent?.type === 'balance'", timeout=PATIENCE)
-    page.evaluate("motionkit.pathOf = motionkit.chosen; motionkit.offer('other')")
+    page.evaluate("motionkit.watch(); motionkit.offer('other')")
     page.wait_for_function("motionkit.facts.get(motionkit.chosen).body === 'other'", timeout=PATIENCE)
-    assert page.evaluate("[motionkit.mode, motionkit.pathOf]") == [None, None]
+    assert page.evaluate("[motionkit.mode, motionkit.paths.size]") == [None, 0]
     pressed = "document.querySelectorAll('#types [aria-pressed=true]').length"
     assert page.evaluate(pressed) == 0
     page.evaluate("motionkit.record()")
@@ -558,7 +558,7 @@ def test_one_finger_draws_and_a_key_ends_it(visit: Callable[..., Page], key: str
     page.mouse.move(300, 250)
     page.mouse.down()
     page.mouse.move(340, 260, steps=4)
-    ribbon = "motionkit.ribbon?.points?.length ?? null"
+    assert page.evaluate("motionkit.stroke !== null")
     page.evaluate(
         """() => { for (const [type, x] of [["pointerdown", 500], ["pointermove", 520], ["pointerup", 520]])
         document.getElementById("scene").dispatchEvent(new PointerEvent(type, { pointerId: 77, clientX: x,
@@ -568,8 +568,50 @@ def test_one_finger_draws_and_a_key_ends_it(visit: Callable[..., Page], key: str
     page.keyboard.press(key)
     page.mouse.move(420, 290, steps=4)
     page.mouse.up()
-    assert page.evaluate(ribbon) is None and not faults
+    assert page.evaluate("motionkit.stroke") is None and not faults
     assert not any(request["do"] == "path" for _, request in page.evaluate("motionkit.link.world.done"))
+    page.close()
+
+
+def test_each_character_keeps_its_path(visit: Callable[..., Page]) -> None:
+    page = visit()
+    page.evaluate("motionkit.stage.look(motionkit.stage.controls.target, 0, 1.2, 8)")
+    page.keyboard.press("p")
+    draw(page)
+    shown = "motionkit.paths.get(1)?.parent === motionkit.stage.scene"
+    assert page.evaluate(shown)
+    page.keyboard.press("n")
+    page.wait_for_function("motionkit.mine.length === 2", timeout=PATIENCE)
+    page.keyboard.press("Tab")
+    assert page.evaluate("motionkit.chosen") == 2
+    draw(page)
+    assert page.evaluate(shown) and page.evaluate("motionkit.paths.size") == 2
+    page.keyboard.press("Tab")
+    asked = page.evaluate("motionkit.link.world.done.length")
+    page.keyboard.press("v")
+    page.mouse.click(500, 300)  # too short for a path
+    wait_frames(page, 10)
+    assert page.evaluate("motionkit.link.world.done.length") == asked and page.evaluate(shown)
+    page.close()
+
+
+def draw(page: Page) -> None:
+    page.mouse.move(300, 250)
+    page.mouse.down()
+    page.mouse.move(480, 280, steps=9)
+    page.mouse.up()
+
+
+def test_a_click_on_the_list_outlives_events(visit: Callable[..., Page]) -> None:
+    page = visit()
+    box = page.get_by_role("button", name="Add a character").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 5, box["y"] + 5)
+    page.mouse.down()
+    page.evaluate("motionkit.link.ask('noise', { character: 1, kind: 'correlated', temperature: 0.3 })")
+    assert page.evaluate("motionkit.noise.value") == "0.3"
+    page.mouse.up()
+    page.wait_for_function("motionkit.mine.length === 2", timeout=PATIENCE)
     page.close()
 
 

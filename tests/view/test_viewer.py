@@ -218,6 +218,22 @@ def test_a_low_screen_leaves_the_figures_half_of_it(page: Page) -> None:
     page.wait_for_function("document.getElementById('timeline').clientHeight > 100")
 
 
+def test_many_motions_leave_the_figures_half_of_the_screen(tmp_path: Path, open_page: Callable) -> None:
+    file = tmp_path / "many.html"
+    walk = make_walk(60)
+    write_viewer(file, [MotionView(f"walk {n}", walk, [("walking", 1.0)]) for n in range(20)])
+    page = open_page(file.as_uri(), offline=True)
+    for chosen in (0, 9, 19):
+        page.evaluate(f"motionkit.choose({chosen})")
+        named = page.evaluate(
+            "motionkit.timeline.rows.filter(({ kind }) => kind === 'types').map(({ n }) => n)"
+        )
+        assert chosen in named and 1 < len(named) < 20
+    size = page.viewport_size
+    assert page.evaluate("document.getElementById('stage').clientHeight") > size["height"] / 2
+    page.close()
+
+
 def test_the_size_of_a_file(two_motions: list[MotionView]) -> None:
     empty = len(viewer_page([MotionView("x", two_motions[0].motion.cut(0, 1))]))
     assert empty < 1_500_000

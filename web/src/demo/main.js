@@ -75,7 +75,7 @@ addEventListener("dragover", (event) => event.preventDefault());
 addEventListener("drop", (event) => {
   event.preventDefault();
   const [file] = event.dataTransfer.files;
-  if (file && window.motionkit?.hello) wear(window.motionkit, file);
+  if (file) begun?.then(() => wear(window.motionkit, file), () => {}); // a failure is shown already
 });
 
 async function begin(play) {
@@ -94,10 +94,12 @@ async function begin(play) {
   }
 }
 
+let begun = null; // the session, once the model is there
 const { bodies, first, rigs } = JSON.parse(document.getElementById("data").textContent);
 if (open(() => new Play((listeners) => new LocalLink(listeners, bodies), tools))) {
   window.motionkit.stand("default", first);
-  begin(window.motionkit).catch((error) => {
+  begun = begin(window.motionkit);
+  begun.catch((error) => {
     Object.assign(notice, { hidden: false, className: "notice" });
     notice.textContent = location.protocol === "file:" ? "Browsers load models from servers only: run `python -m http.server` in this folder, and open the address it says." : `The model cannot be loaded: ${error.message}.`;
   });

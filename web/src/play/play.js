@@ -43,7 +43,8 @@ export class Play {
     this.characters = new Map(); // id -> figure and state on the page
     this.facts = new Map(); // id -> the server's facts
     this.recordedFroms = new Map(); // id -> start of the recording
-    Object.assign(this, { chosen: null, mode: null, touched: null, drawing: false, facing: false, waiting: [], responses: [] });
+    this.paths = new Map(); // id -> the ribbon of the path that a character follows; null if it is not shown
+    Object.assign(this, { chosen: null, mode: null, touched: null, stroke: null, drawing: false, facing: false, waiting: [], responses: [] });
     this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.22, 4.4 * Math.max(1, 0.75 / this.stage.camera.aspect));
     $("figures").hidden ||= matchMedia("(max-width: 700px), (max-height: 480px)").matches; // on a small screen they would hide the body
     const head = $("tools").parentElement; // tools in two rows push down what lies below
@@ -78,7 +79,8 @@ export class Play {
     Object.assign(this, { hello, chosen: hello.character, waiting: [], sent: null, left: new Map() });
     this.behind = null;
     this.#pace();
-    this.#forgetPath();
+    for (const id of [...this.paths.keys()]) this.#forgetPath(id);
+    this.#forgetStroke();
     this.#setMode(null);
     this.apart = (1000 * SPARE) / hello.limits.messages_per_second; // ms between wishes: screens may be faster than the server allows
     // Types may have any name, so forward gaits are recognized by their facing.
@@ -110,7 +112,7 @@ export class Play {
 
   #event(event) {
     if (event.event === "characters") this.#characters(event.characters);
-    else if (event.event === "arrived" && event.character === this.pathOf) this.#forgetPath();
+    else if (event.event === "arrived") this.#forgetPath(event.character);
     else if (event.event === "recorded") this.#save(event);
     else if (event.event === "pace") {
       this.behind = event.behind ? event : null;
@@ -134,12 +136,13 @@ export class Play {
     for (const { id, body } of facts) { // who gets another body begins anew
       if ((before.get(id)?.body ?? body) === body) continue;
       this.left.delete(id);
+      this.#forgetPath(id);
       if (id === this.chosen) this.#forgetAll();
     }
     const mine = facts.filter((one) => one.owner === this.hello.client).map((one) => one.id);
     if (!mine.includes(this.chosen)) this.#take(mine[0] ?? null);
     for (const id of [...this.characters.keys()]) if (!this.facts.has(id)) this.#remove(id);
-    if (this.pathOf && !mine.includes(this.pathOf)) this.#forgetPath();
+    for (const id of [...this.paths.keys()]) if (!mine.includes(id)) this.#forgetPath(id);
     this.mine = mine;
     for (const { id, body } of facts) this.#show(id, body);
     this.#who();
@@ -300,8 +303,8 @@ export class Play {
     else if (this.facing) wish.facing = look;
     if (this.chosen === null || !changed(this.sent, wish, this.chosen)) return;
     // On a path, nothing is sent until the user steers.
-    if (this.pathOf === this.chosen && length === 0 && !this.mode) return;
-    if (this.pathOf === this.chosen) this.#forgetPath();
+    if (this.paths.has(this.chosen) && length === 0 && !this.mode) return;
+    this.#forgetPath();
     this.sent = { ...wish, character: this.chosen };
     this.#ask("wish", { character: this.chosen, ...wish });
   }
@@ -360,30 +363,37 @@ export class Play {
     const kept = Array.from({ length: Math.floor((points.length - 1) / share) + 1 }, (_, n) => points[Math.round(n * share)]);
     const numbers = new Set(stops.map((at) => Math.min(kept.length - 1, Math.max(1, Math.round(at / share)))));
     this.touched ??= performance.now();
-    this.watch();
+    this.watch(this.stroke);
+    this.stroke = null;
     this.#ask("path", {
       character: this.chosen, points: kept.map((point) => point.map(tenths)), type: this.pathType?.value || null,
       stops: [...numbers].sort((a, b) => a - b).map((at) => [at, STOP]),
     });
   }
 
-  /** Sends nothing until the user steers, because the character is moving already. */
-  watch() {
+  /** Sends nothing until the user steers, because the character is moving already; ribbon shows its path. */
+  watch(ribbon = null) {
     this.#setMode(null);
-    this.pathOf = this.chosen;
+    this.#forgetPath();
+    this.paths.set(this.chosen, ribbon);
     this.sent = standing(this.chosen);
   }
 
-  // A stroke that is being drawn has a ribbon, but is no character's path yet.
+  // Forgets what is being drawn, which is no character's path yet.
   #forgetStroke() {
-    if (this.ribbon && this.pathOf === null) this.#forgetPath();
+    this.#erase(this.stroke);
+    this.stroke = null;
   }
 
-  #forgetPath() {
-    this.pathOf = null;
-    this.ribbon?.removeFromParent();
-    for (const { geometry } of this.ribbon ? [this.ribbon, ...this.ribbon.children] : []) geometry.dispose();
-    this.ribbon = null;
+  #forgetPath(id = this.chosen) {
+    this.#erase(this.paths.get(id));
+    this.paths.delete(id);
+  }
+
+  #erase(ribbon) {
+    if (!ribbon) return;
+    ribbon.removeFromParent();
+    for (const { geometry } of [ribbon, ...ribbon.children]) geometry.dispose();
     this.stage.invalidate();
   }
 
@@ -402,13 +412,13 @@ export class Play {
     const rest = () => {
       clearTimeout(resting);
       resting = setTimeout(() => {
-        if (!points || !this.ribbon) return;
+        if (!points || !this.stroke) return;
         const at = points.length - 1;
         if (at < 2 || stops.includes(at)) return;
         stops.push(at);
         const mark = new Mesh(new CircleGeometry(0.11, 24).rotateX(-Math.PI / 2), new MeshBasicMaterial({ color: PATH_COLOR, depthWrite: false }));
         mark.position.set(points[at][0], 0.005, points[at][1]);
-        this.ribbon.add(mark);
+        this.stroke.add(mark);
         this.stage.invalidate();
       }, REST);
     };
@@ -423,36 +433,35 @@ export class Play {
       event.stopImmediatePropagation();
       pointer = event.pointerId;
       canvas.setPointerCapture(pointer);
-      this.#forgetPath();
       [points, stops] = [[first], []];
-      this.ribbon = new Ribbon(new Float32Array(first), PATH_COLOR, { width: 0.06, opacity: 0.85 });
-      this.stage.scene.add(this.ribbon);
+      this.stroke = new Ribbon(new Float32Array(first), PATH_COLOR, { width: 0.06, opacity: 0.85 });
+      this.stage.scene.add(this.stroke);
     }, { capture: true });
     canvas.addEventListener("pointermove", (event) => {
       if (!points || event.pointerId !== pointer) return;
-      if (!this.ribbon) { // a key has ended the drawing
+      if (!this.stroke) { // a key has ended the drawing
         points = null;
         return;
       }
       const next = spot(event);
       if (!next || Math.hypot(next[0] - points.at(-1)[0], next[1] - points.at(-1)[1]) < PATH_STEP) return;
       points.push(next);
-      this.ribbon.points = points.flat();
+      this.stroke.points = points.flat();
       this.stage.invalidate();
       rest();
     });
     const end = (event) => {
       if (!points || event.pointerId !== pointer) return;
       clearTimeout(resting);
-      const drawn = this.ribbon ? points : null;
+      const drawn = this.stroke ? points : null;
       points = null;
       if (!drawn || event.type === "pointercancel") {
-        this.#forgetPath();
+        this.#forgetStroke();
         return;
       }
       this.touched = event.timeStamp;
       if (drawn.length < 3) {
-        this.#forgetPath();
+        this.#forgetStroke();
         this.say("Draw a longer path.");
       } else this.followPath(drawn, stops);
     };
@@ -621,8 +630,12 @@ export class Play {
       return box;
     });
     const others = this.facts.size - this.mine.length;
-    $("who").replaceChildren(...nodes, button("Add a character", "Another character (N)", () => this.add(), "+"));
-    if (others) $("who").append(element("label", {}, `${others} of others`));
+    const key = JSON.stringify([this.mine, this.chosen, others]);
+    if (key !== this.listed) { // a list that is replaced loses the click that is being made on it
+      this.listed = key;
+      $("who").replaceChildren(...nodes, button("Add a character", "Another character (N)", () => this.add(), "+"));
+      if (others) $("who").append(element("label", {}, `${others} of others`));
+    }
     const own = this.facts.get(this.chosen);
     if (own) {
       this.bodies.value = own.body;
@@ -662,6 +675,7 @@ export class Play {
   // Forgets what the steered character was asked for; a held key is sent again.
   #forgetAll() {
     this.#forgetPath();
+    this.#forgetStroke();
     this.#setMode(null);
     this.sent = null;
   }

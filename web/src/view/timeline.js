@@ -9,6 +9,8 @@ const STRIPE = 9;
 const PLOT = 46;
 const AXIS = 18;
 const GAP = 6;
+const OTHERS = 2 * (STRIPE + 3 + PLOT + GAP) + AXIS + 50; // all but the bands of types, with the buttons above
+const SHARE = 0.45; // of the page's height, which the bands may fill up
 const hex = (color) => `#${color.toString(16).padStart(6, "0")}`;
 const TYPE_HUES = [212, 28, 145, 280, 350, 180, 48, 310, 95, 240];
 
@@ -33,6 +35,7 @@ export class Timeline {
       if (event.buttons & 1) this.#seekTo(event);
     });
     new ResizeObserver(() => this.redraw()).observe(canvas);
+    addEventListener("resize", () => this.redraw());
   }
 
   // On a low screen, such as a phone held sideways, the figures need the space of the curves.
@@ -44,9 +47,11 @@ export class Timeline {
       rows.push({ ...row, top, height });
       top += height + gap;
     };
-    this.tracks.forEach((track, n) => {
-      if (track.clip.types.length && (!low || n === this.chosen)) add({ kind: "types", n }, BAND, 3);
-    });
+    const most = low ? 1 : Math.max(1, Math.floor((SHARE * innerHeight - OTHERS) / (BAND + 3))); // around the chosen one
+    const typed = [...this.tracks.keys()].filter((n) => this.tracks[n].clip.types.length);
+    const before = typed.findLastIndex((n) => n <= this.chosen) - Math.floor(most / 2);
+    const first = Math.max(0, Math.min(before, typed.length - most));
+    for (const n of typed.slice(first, first + most)) add({ kind: "types", n }, BAND, 3);
     const feet = Math.max(...this.tracks.map((track) => track.clip.feet.length));
     for (let foot = 0; foot < feet; foot++) add({ kind: "contact", foot }, STRIPE, 3);
     if (!low) {
