@@ -50,7 +50,7 @@ from motionkit.lab.paper.variants import VARIANTS, variant
 from motionkit.models.checkpoint import load_model, save_model
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat, quat_to_expmap
-from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_presets
+from motionkit.training.calibration import calibrated_gains, calibrated_noise, training_judge, with_presets
 from motionkit.training.options import with_changes
 from motionkit.training.presets import train_options
 from motionkit.training.report import TrainEvent
@@ -295,11 +295,11 @@ def bundled(job: Path, arguments: argparse.Namespace) -> None:
 
 def calibrate(job: Path, arguments: argparse.Namespace) -> None:
     """Add the sampling presets, which take processors minutes, to what `bundled` wrote."""
-    dataset, frames = Dataset(unpack(job, "free")), 300
+    judge, frames = training_judge(Dataset(unpack(job, "free"))), 300
     path = job / "bundled.safetensors"
     model = load_model(path)
-    model = with_presets(model, "reference_gain", calibrated_gains(model, dataset, frames))
-    model = with_presets(model, "noise_alone", calibrated_noise(model, dataset, frames))
+    model = with_presets(model, "reference_gain", calibrated_gains(model, judge, frames))
+    model = with_presets(model, "noise_alone", calibrated_noise(model, judge, frames))
     save_model(path, model, half=True)
 
 

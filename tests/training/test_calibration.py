@@ -22,6 +22,7 @@ from motionkit.training.calibration import (
     made_movements,
     movement_of,
     recorded_movements,
+    training_judge,
     with_presets,
 )
 from motionkit.training.trainer import train
@@ -81,7 +82,7 @@ def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
 ) -> None:
     """Roll-outs whose speed is half of the recorded one times their gain, and that are planted as long."""
     kinds = list(tiny_model.types)
-    recorded = recorded_movements(RealMotion(dataset, "train"), kinds)
+    recorded = recorded_movements(training_judge(dataset).real, kinds)
     assert recorded["running"].speed > recorded["walking"].speed > 2.0 * recorded["idle"].speed
     assert recorded["running"].planted < recorded["walking"].planted
 
@@ -97,7 +98,7 @@ def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
         }
 
     monkeypatch.setattr(calibration, "made_movements", made)
-    found = calibrated_gains(tiny_model, dataset, 10)
+    found = calibrated_gains(tiny_model, training_judge(dataset), 10)
     moved = {name for name, kind in tiny_model.types.items() if kind.reference_clips}
     assert {"walking", "cartwheel"} <= moved == set(found)
     assert set(found.values()) == {2.0}
@@ -108,12 +109,12 @@ def test_roll_outs_depend_on_the_gain(
 ) -> None:
     monkeypatch.setattr(calibration, "REPEATS", 1)
     monkeypatch.setattr(calibration, "GAINS", (1.0, 2.5))
-    gains = calibrated_gains(tiny_model, dataset, 20)
+    gains = calibrated_gains(tiny_model, training_judge(dataset), 20)
     assert gains and set(gains.values()) <= {1.0, 2.5}
     louder = with_presets(tiny_model, "reference_gain", {"cartwheel": 2.0})
     assert louder.types["cartwheel"].preset.reference_gain == 2.0
     assert louder.types["walking"].preset == tiny_model.types["walking"].preset
-    judge = Judge(RealMotion(dataset, "train"))
+    judge = training_judge(dataset)
     soft, loud = (made_movements(model, ["cartwheel"], 20, judge) for model in (tiny_model, louder))
     assert soft["cartwheel"] != loud["cartwheel"]
 
@@ -123,7 +124,7 @@ def test_a_type_that_is_not_shown_costs(
 ) -> None:
     """Every third roll-out is judged to show its type; without a judgement all count as shown."""
     monkeypatch.setattr(calibration, "REPEATS", 3)
-    judge, asked = Judge(RealMotion(dataset, "train")), []
+    judge, asked = training_judge(dataset), []
 
     def performs(kind: str, body: Body) -> bool:
         asked.append((kind, len(body)))
@@ -138,7 +139,7 @@ def test_a_type_that_is_not_shown_costs(
 
 
 def test_a_model_without_references_has_nothing_to_find(tiny_model: MotionModel, dataset: Dataset) -> None:
-    assert calibrated_gains(tiny_model.with_reference("none"), dataset, 10) == {}
+    assert calibrated_gains(tiny_model.with_reference("none"), training_judge(dataset), 10) == {}
 
 
 def moved_by_noise(model: MotionModel) -> MotionModel:
@@ -153,7 +154,7 @@ def test_types_that_noise_alone_moves_get_as_much_as_moves_them_as_recorded(
 ) -> None:
     """Roll-outs whose speed is the recorded one times their noise, without references."""
     model = moved_by_noise(tiny_model)
-    recorded = recorded_movements(RealMotion(dataset, "train"), ["walking"])["walking"]
+    recorded = recorded_movements(training_judge(dataset).real, ["walking"])["walking"]
 
     def made(alone: MotionModel, moved: list[str], frames: int, judge: Judge) -> dict[str, Movement]:
         assert not alone.uses_references and moved == ["walking"]
@@ -161,8 +162,8 @@ def test_types_that_noise_alone_moves_get_as_much_as_moves_them_as_recorded(
         return {"walking": replace(recorded, speed=noise / 1.2 * recorded.speed)}
 
     monkeypatch.setattr(calibration, "made_movements", made)
-    assert calibrated_noise(model, dataset, 10) == {"walking": 1.2}
-    assert calibrated_noise(model.with_reference("none"), dataset, 10) == {}
+    assert calibrated_noise(model, training_judge(dataset), 10) == {"walking": 1.2}
+    assert calibrated_noise(model.with_reference("none"), training_judge(dataset), 10) == {}
 
 
 def test_noise_of_its_own_is_for_roll_outs_without_references(

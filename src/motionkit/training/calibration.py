@@ -86,27 +86,35 @@ class Movement:
         return abs(faster) + abs(longer) + max(0.0, higher) + max(0.0, rarer) + shaking
 
 
+def training_judge(dataset: Dataset) -> Judge:
+    """What calibration compares roll-outs with: the training recordings of a dataset."""
+    return Judge(RealMotion(dataset, "train"))
+
+
 def calibrated_gains(
-    model: MotionModel, dataset: Dataset, frames: int, progress: Callable[[float], None] | None = None
+    model: MotionModel, judge: Judge, frames: int, progress: Callable[[float], None] | None = None
 ) -> dict[str, float]:
     """Return the reference gain with which each type with reference clips moves most like its recordings.
 
     Among gains of nearly the lowest cost, the one nearest to 1 is taken. Types without recordings are left out.
 
     Args:
+        judge: what knows the recordings, from training_judge.
         frames: length of each roll-out.
         progress: called with the finished share, 0 to 1.
     """
     if not model.uses_references:
         return {}
-    moved = [kind for kind, known in model.types.items() if kind in dataset.types and known.reference_clips]
+    moved = [
+        kind for kind, known in model.types.items() if kind in judge.real.types and known.reference_clips
+    ]
     tried = ("reference_gain", GAINS, JERK_WEIGHT)
-    costs = _costs(model, moved, dataset, tried, frames, progress)
+    costs = _costs(model, moved, judge, tried, frames, progress)
     return {kind: _cheapest(GAINS, found) for kind, found in costs.items()}
 
 
 def calibrated_noise(
-    model: MotionModel, dataset: Dataset, frames: int, progress: Callable[[float], None] | None = None
+    model: MotionModel, judge: Judge, frames: int, progress: Callable[[float], None] | None = None
 ) -> dict[str, float]:
     """Return the noise scale with which each type moves most like its recordings without references.
 
@@ -115,23 +123,22 @@ def calibrated_noise(
     if not model.uses_references:
         return {}
     alone = model.with_reference("none")
-    moved = [kind for kind, known in alone.types.items() if kind in dataset.types and known.moves_by_noise]
+    moved = [kind for kind, known in alone.types.items() if kind in judge.real.types and known.moves_by_noise]
     tried = ("noise_scale", NOISES, JERK_OF_NOISE)
-    costs = _costs(alone, moved, dataset, tried, frames, progress)
+    costs = _costs(alone, moved, judge, tried, frames, progress)
     return {kind: NOISES[int(np.argmin(found))] for kind, found in costs.items()}
 
 
 def _costs(
     model: MotionModel,
     kinds: Sequence[str],
-    dataset: Dataset,
+    judge: Judge,
     tried: tuple[str, Sequence[float], float],
     frames: int,
     progress: Callable[[float], None] | None,
 ) -> dict[str, list[float]]:
     """For each recorded type, the costs of its roll-outs with a field of the presets, its values, by a jerk weight."""
     field, values, jerk_weight = tried
-    judge = Judge(RealMotion(dataset, "train"))
     real = recorded_movements(judge.real, kinds)
     made = []
     for value in values:

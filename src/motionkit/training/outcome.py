@@ -11,7 +11,7 @@ from motionkit.models.architectures import build
 from motionkit.models.checkpoint import save_model
 from motionkit.models.model import MotionModel
 from motionkit.training.bundle import bundle_model
-from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_presets
+from motionkit.training.calibration import calibrated_gains, calibrated_noise, training_judge, with_presets
 from motionkit.training.initial_network import InitialNetwork
 from motionkit.training.learner import Learner
 from motionkit.training.report import RunReport
@@ -66,10 +66,11 @@ class Outcome:
         # Calibration takes many roll-outs, so they have half the length of scored ones.
         kept, frames, stage = self.initial.kept, self.frames // 2, self.report.stage
         tell = stage("calibrating reference poses")
-        gains = calibrated_gains(self.model(), self.dataset, frames, progress=tell)
+        judge = training_judge(self.dataset)
+        gains = calibrated_gains(self.model(), judge, frames, progress=tell)
         self.gains = {kind: gain for kind, gain in gains.items() if kind not in kept}
         tell = stage("calibrating noise")
-        noises = calibrated_noise(self.model(), self.dataset, frames, progress=tell)
+        noises = calibrated_noise(self.model(), judge, frames, progress=tell)
         self.noises = {kind: noise for kind, noise in noises.items() if kind not in kept}
 
     def score(self) -> bool:
