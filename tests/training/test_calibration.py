@@ -27,7 +27,6 @@ from motionkit.training.calibration import (
 )
 from motionkit.training.trainer import train
 from motionkit.training.verdict.judge import Judge
-from motionkit.training.verdict.real import RealMotion
 from synthetic_motions import make_walk
 
 RECORDED = Movement(2.0, 50.0, 0.5, 0.1)
