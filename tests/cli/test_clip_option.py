@@ -75,7 +75,8 @@ def test_all_of_them(motionkit, hero: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.glob("*.bvh")) == ["a-gait 120.bvh", "a-gait 180.bvh"]
     done = motionkit("doctor", ".", "--clip", "all", "--json")
     assert done.code == 0 and '"hero.glb#gait 180"' in done.out and "bare.glb: has no animation" in done.out
-    assert motionkit("convert", "hero.glb", "b.bvh", "--clip", "all", "--name", "x").code == 0
+    done = motionkit("convert", "hero.glb", "b.bvh", "--clip", "all", "--name", "x", "--replace")
+    assert done.code == 0 and "--name and --replace left out: b" in done.err
     done = motionkit("convert", "hero.glb", "c.bvh", "--clip", "all", "--json")
     assert [one["output"] for one in json.loads(done.out)] == ["c-gait 180.bvh", "c-gait 120.bvh"]
     refused = motionkit("convert", "hero.glb", "-", "--clip", "all")

@@ -35,6 +35,7 @@ FORMATS = (
     "csv",
 )  # as in export.formats, which is slow to import
 ENDINGS = f"{', '.join(f'.{name}' for name in FORMATS[:-1])} or .{FORMATS[-1]}"
+NAMED = (".glb", ".vrm", ".vrma")  # endings of files with named animations
 STDOUT = Path("-")
 READ_AS = "motionkit.taken"  # in the meta of a command's context: how its clips were read
 
@@ -154,6 +155,10 @@ class OutputOptions:
                 )
         base = self.output or default_output(name, ending, everything)
         check_outputs([*everything(base), *also], inputs)
+        if base.suffix.lower() not in NAMED:
+            flags = [flag for flag, used in {"--name": self.name, "--replace": self.alone}.items() if used]
+            if flags:
+                remark(f"{' and '.join(flags)} left out: {base.name} has no named animations")
         page = base.with_suffix(".html") if self.view else None
         replaced = tuple(path for path in (*everything(base), *also) if path.exists())
         return Outputs(tuple(motions(base)), page, self.as_json, replaced, self.name, self.alone)

@@ -249,10 +249,7 @@ def open_rig(rig_path: Path | None, map_path: Path | None = None, clip_path: Pat
         rig = read_rig(rig_path, map_path)
         clip_file, animation = (None, None) if clip_path is None else animation_in(clip_path)
         with reading(animation=animation):
-            try:
-                clip = None if clip_file is None else read_clip(clip_file, rig)
-            except MotionkitError as error:  # --clip is for SOURCE
-                raise MotionkitError(str(error).replace("with --clip", "with --from FILE#NAME")) from None
+            clip = None if clip_file is None else read_clip(clip_file, rig)
     files = tuple(path for path in (rig_path, map_path, clip_file) if path is not None)
     return RigChoice(rig, clip, files)
 
