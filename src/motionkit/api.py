@@ -102,7 +102,7 @@ def retarget(
         MotionkitError: a file cannot be read, or a rig is not human.
     """
     from motionkit.control.synthesize import SynthesisResult
-    from motionkit.editing.loop import cycle_on_rig
+    from motionkit.editing.loop import cycle_on_rig, is_cycle
     from motionkit.errors import naming
     from motionkit.export.clip import rig_clip
     from motionkit.finish.on_rig import on_rig
@@ -118,12 +118,12 @@ def retarget(
         with naming(motion):
             motion = canonical_for(read_file(motion), target)[0]
     elif not isinstance(motion, Motion):
+        types = tuple((part.type, part.seconds) for part in motion.types)
         if isinstance(motion, SynthesisResult):
-            types = tuple((part.type, part.seconds) for part in motion.motions[0].types)
             cyclic = motion.motions[0].cyclic
         drawn, motion = motion.unfinished, motion.motion
-    if fps or target.fps:
-        motion = resample(motion, fps or target.fps or motion.fps)
+    if rate := fps or target.fps:
+        motion = resample(motion, rate, cyclic or is_cycle(motion))
     other = None if clip is None else read_clip(clip, target)
     made = cycle_on_rig(motion, target, ik, other) if cyclic else on_rig(motion, target, ik, other, drawn)
     return rig_clip(made, target, "motion", types)

@@ -163,10 +163,12 @@ def synthesis_request(
     met = read_keys(keys, model, start) if isinstance(keys, (str, Path)) else check_keys(keys, start)
     check_length(met, min(sum(part.seconds for part in plan) for plan in plans))
     synthesis = SynthesisOptions(**options, keys=met)
-    if 1 < synthesis.count < len(plans):
-        expected = f"a count of {len(plans)} or more, one for each list of types"
-        raise ControlError(f"expected {expected}, found {synthesis.count}")
-    count = max(synthesis.count, len(plans), len(synthesis.character.split(",")))
+    named = {"list of types": len(plans), "character": len(synthesis.characters)}
+    for what, least in named.items():
+        if 1 < synthesis.count < least:
+            expected = f"a count of {least} or more, one for each {what}"
+            raise ControlError(f"expected {expected}, found {synthesis.count}")
+    count = max(synthesis.count, *named.values())
     return SynthesisRequest(model, plans, replace(synthesis, count=count))
 
 
@@ -196,7 +198,11 @@ def loop_wish(types: str | Sequence[str], seconds: float | None) -> float | None
 
 @dataclass(frozen=True, eq=False)
 class PathRequest:
-    """A path to follow, with the model and its options; size is that of its rig relative to the model's body."""
+    """A path to follow, in the world of the written motion, with the model and its options.
+
+    Attributes:
+        size: size of the body that is written, a character or a rig, relative to the one that the model moves.
+    """
 
     model: MotionModel
     path: Path2D
@@ -204,36 +210,39 @@ class PathRequest:
     size: float = 1.0
 
     def on_rig(self, size: float, strict: bool = False) -> PathRequest:
-        """The same request with its path in the world of a rig of a size relative to the model's body.
+        """The same request for a rig of a size relative to the character.
 
         Raises ControlError with strict for a speed outside the range of a gait's recordings.
         """
-        path = self.path if size == 1.0 else self.path.scaled(1.0 / size)
+        request = replace(self, size=self.size * size)
         if strict:
-            check_speeds(self.model, path, size)
-        return replace(self, path=path, size=size)
+            check_speeds(self.model, request.moved, request.size)
+        return request
+
+    @property
+    def moved(self) -> Path2D:
+        """The path in the world of the body that the model moves."""
+        return self.path if self.size == 1.0 else self.path.scaled(1.0 / self.size)
 
     @property
     def doubtful(self) -> list[str]:
         """Lines for what may not look right: speeds that are not kept, and parts too short for their type."""
-        given = self.model, self.path, self.size
+        given = self.model, self.moved, self.size
         return other_speeds(*given) + doubtful_parts(*given)
 
     @property
     def seconds(self) -> float:
         """Duration of the path at the requested speeds."""
-        return plan_path(self.model, self.path).seconds
+        return plan_path(self.model, self.moved).seconds
 
     def run(self, progress: Callable[[float], None] | None = None) -> FollowResult:
         """Follow the path; progress is called with the fraction done."""
-        return follow.follow_path(self.model, self.path, self.options, progress)
+        return follow.follow_path(self.model, self.moved, self.options, progress)
 
 
 def is_path_file(path: str | Path) -> bool:
-    """Whether a path is a file rather than a named shape."""
-    from motionkit.rig.read_file import ENDINGS
-
-    return Path(path).suffix.lower() in (*PATH_ENDINGS, *ENDINGS) or Path(path).is_file()
+    """Whether a path is a file rather than a named shape, which has no ending."""
+    return Path(path).suffix != "" or Path(path).is_file()
 
 
 def path_request(
@@ -262,4 +271,5 @@ def path_request(
         if not all(kinds):
             raise ControlError(f"expected types such as running,cartwheel, found {types!r}")
         target = shape_path(str(path), size, kinds, speed)
-    return PathRequest(model, target, SynthesisOptions(**options)).on_rig(1.0, strict)
+    request = PathRequest(model, target, SynthesisOptions(**options))
+    return request.on_rig(model.body_scale(request.options.character), strict)

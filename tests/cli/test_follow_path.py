@@ -4,13 +4,14 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit import follow_path
 from motionkit.errors import ControlError
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.checkpoint import save_model
-from motionkit.motion.bvh import read_bvh
+from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
 from .conftest import page_data
 
@@ -112,3 +113,22 @@ def test_a_path_is_walked_with_the_models_walk_whatever_it_is_called(motionkit, 
     assert said.code == 0 and value["finished"] and value["parts"][0]["type"] == "Lauf_02"
     assert (tmp_path / "line-Lauf_02.bvh").exists()
     assert motionkit("follow-path", "line", "--types", " ,").code == 2
+
+
+@pytest.mark.parametrize("words", [(), ("--rig", "@mixamo")])
+def test_the_path_of_a_body_of_another_size_is_as_long(motionkit, tmp_path: Path, words: tuple) -> None:
+    """It ends at the end of the path, whatever the size of the character and of the rig."""
+    said = motionkit("follow-path", "line", "--size", 4, "--character", "subject-32", "-o", "a.bvh", *words)
+    assert said.code == 0 and ("--character is left out" in said.err) == bool(words)
+    end = bvh_to_motion(read_bvh(tmp_path / "a.bvh")).root_positions[-1]
+    assert abs(end[2] - 400.0) < 10.0 and abs(end[0]) < 5.0
+
+
+def test_a_body_that_stands_at_a_stop_is_in_the_part_before(motionkit, tmp_path: Path) -> None:
+    (tmp_path / "way.csv").write_text(
+        "x,z,type,stop\n0,0,walking,0\n0,2,walking,2\n0,4,b-walking,0\n", encoding="utf-8"
+    )
+    assert motionkit("follow-path", "way.csv", "-o", "a.npz").code == 0
+    with np.load(tmp_path / "a.npz") as arrays:
+        kinds = arrays["types"][np.abs(arrays["root_positions"][:, 2] - 200.0) < 10.0]
+    assert len(kinds) > 120 and (kinds[:-20] == "walking").all() and kinds[-1] == "b-walking"

@@ -194,3 +194,20 @@ def test_a_model_that_goes_astray_leaves_what_is_there(
     assert said.failed_with("the roll-out failed")
     assert (tmp_path / "x.bvh").read_text() == "a good file"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.safetensors", "x.bvh"]
+
+
+def test_several_characters_are_several_motions(motionkit, tmp_path: Path) -> None:
+    words = ("synthesize", "--types", "walking:1", "--character", "subject-91,default")
+    refused = motionkit(*words, "-o", "-")
+    assert refused.code == 2 and "2 motions cannot be combined with standard output" in refused.err
+    assert motionkit(*words[:-1], "default,subject-91,subject-16", "--count", 2).failed_with(
+        "a count of 3 or more"
+    )
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "keys.json").write_text('{"keys": [{"time": 0.8, "position": [0, 1]}]}')
+    said = motionkit(*words[:-1], "default,default", "--keys", "keys.json", "--seed", 4, "--json")
+    made = json.loads(said.out)["motions"]
+    assert [(one["seed"], one["character"]) for one in made] == [(4, "default"), (5, "default")]
+    assert all(one["keys"][0]["cm"] < 1.0 for one in made)
+    told = json.loads(motionkit(*words, "--json").out)["motions"]
+    assert [one["character"] for one in told] == ["subject-91", "default"]

@@ -9,6 +9,7 @@ import pytest
 
 from motionkit.control.character_start import StartState
 from motionkit.control.lead_ins import IDLE_BEFORE, LEAST_REST, RUN_UP, natural_seconds, with_lead_ins
+from motionkit.control.plan import plan_types
 from motionkit.control.script import TypePart
 from motionkit.control.synthesize import synthesize
 from motionkit.models.bundled import load_bundled_model
@@ -86,3 +87,15 @@ def test_motions_begin_and_end_upright(model: MotionModel, kind: str) -> None:
     for half in (positions[:30], positions[-30:]):
         trunk = half[:, 12] - half[:, 0]
         assert (trunk[:, 1] > 0.7 * np.linalg.norm(trunk, axis=1)).all() and (half[:, 0, 1] > 60.0).all()
+
+
+@pytest.mark.parametrize("kind", ["cartwheel", "w-kicking", "side-somersault"])
+def test_as_many_performances_as_fit_are_planned(model: MotionModel, kind: str) -> None:
+    """Sums of seconds that are rounded down lose none of them."""
+    for seconds in np.linspace(3.0, 30.0, 55):
+        parts = with_lead_ins(model, [TypePart(kind, float(seconds))])
+        meant, planned = (
+            sum(part.seconds for part in each if part.type == kind)
+            for each in (parts, plan_types(model, parts).parts)
+        )
+        assert planned > meant - 0.1

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -284,6 +285,7 @@ def test_deeply_nested_json_is_told_in_a_line(tmp_path: Path) -> None:
         ("a.csv", "x\tz\ttype\n0\t0\twalking\n0,5\t1,5\twalking\n"),
         ("a.tsv", "x\tz\ttype\n0\t0\twalking\n0.5\t1.5\twalking\n"),
         ("a.txt", "x,z,type\n0,0,walking\n0.5,1.5,walking\n"),
+        ("a.csv", "sep=;\nx;y;z;type;\n0;0;0;walking;\n0,5;0;1,5;walking;\n;;;;\n"),
         ("a.csv", "\ufeffX, Z, Type \r\n0, 0, walking\r\n0.5, 1.5, walking\r\n"),
         ("a.path", '[{"type": "walking", "points": [[0, 0], [0.5, 1.5]]}]'),
     ],
@@ -292,6 +294,20 @@ def test_tables_of_every_spreadsheet_are_read(tmp_path: Path, name: str, text: s
     """Semicolons, tabs, decimal commas, capitals, spaces, and other endings."""
     plain = read_path(write(tmp_path, "x,z,type\n0.0,0,walking\n0.5,1.5,walking\n", "plain.csv"))
     assert np.array_equal(read_path(write(tmp_path, text, name)).points, plain.points)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x,z,type,stops\n0,0,walking,1\n0,1,walking,1\n", ":1: unknown column 'stops'; did you mean 'stop'"),
+        ("sep=;\nx;z;typ\n0;0;walking\n", ":2: expected a first line that names the columns"),
+        ("sep=;\nx;z;type\n0;oh;walking\n", ":3: expected numbers"),
+        ("<svg/>", "expected a path as JSON or CSV, found XML"),
+    ],
+)
+def test_what_a_table_of_a_path_cannot_hold(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ControlError, match=re.escape(said)):
+        read_path(write(tmp_path, text, "a.svg" if text[0] == "<" else "a.csv"))
 
 
 @pytest.mark.parametrize(

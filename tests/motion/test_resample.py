@@ -79,3 +79,14 @@ def test_moving_joints_are_resampled_too(make_motion: Callable[..., Motion]) -> 
     out = resample(replace(motion, local_positions=places), 20)
     assert out.local_positions is not None
     assert np.allclose(out.local_positions[:, 3, 1], 0.5 * np.arange(21.0, dtype=np.float32))
+
+
+@pytest.mark.parametrize("fps", [30.0, 24.0, 90.0])
+def test_a_cycle_stays_closed(fps: float, make_motion: Callable[..., Motion]) -> None:
+    motion = make_motion(frames=72)
+    turns = motion.local_rotations.copy()
+    turns[-1] = turns[0]
+    closed = replace(motion, local_rotations=turns)
+    made = resample(closed, fps, cyclic=True)
+    assert np.allclose(np.abs((made.local_rotations[-1] * turns[0]).sum(axis=-1)), 1.0, atol=1e-6)
+    assert abs(len(made) - 1 - 71 * fps / motion.fps) <= 0.5 and made.fps == fps

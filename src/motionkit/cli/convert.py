@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,6 +16,7 @@ from motionkit.cli.common import (
     gathered,
     json_option,
     print_json,
+    remark,
 )
 from motionkit.cli.folders import folders
 from motionkit.cli.outputs import STDOUT, OutputOptions, animation_options, body_option, display_name
@@ -22,6 +24,9 @@ from motionkit.cli.rig_options import RootMotion, root_options
 from motionkit.errors import MotionkitError, naming
 from motionkit.names import counted
 from motionkit.reading import ALL, user_animation
+
+if TYPE_CHECKING:
+    from motionkit.export.clip import Clip
 
 
 def _targets(source: Path, target: Path) -> list[tuple[str | None, Path]]:
@@ -83,6 +88,7 @@ def command(
     .usda) or centimetres (.npz, .csv), with Y up; to .bvh they stay as they are, but become centimetres from .glb. With
     --clip all, the name of each animation is added to that of TARGET.
     """
+    from motionkit.editing.loop import is_cycle
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample
 
@@ -92,10 +98,12 @@ def command(
         output_options.check()
         outputs = output_options.files("", [source])
         clip = read_clip(source, clip_name)
-        motion = clip.motion if fps is None else resample(clip.motion, fps)
+        motion = clip.motion if fps is None else resample(clip.motion, fps, is_cycle(clip.motion))
         with naming(source):
             motion = root_motion.applied(motion)
-            outputs.write(replace(clip.with_motion(motion), body=body))
+            made = replace(clip.with_motion(motion), body=body)
+            _say_left_out(file, made, root_motion)
+            outputs.write(made)
         joints, frames = len(motion.skeleton), len(motion)
         if file.suffix.lower() == ".vrma":  # fingers and other joints are left out
             from motionkit.export.vrma import joints_kept
@@ -112,7 +120,17 @@ def command(
         if as_json:
             written.append(outputs.facts(facts, read))
             continue
-        made = f"{counted(joints, 'joint')}, {counted(frames, 'frame')} at {motion.fps:g} fps"
-        outputs.report(facts, [f"wrote {display_name(file)}: {made}"], read)
+        words = f"{counted(joints, 'joint')}, {counted(frames, 'frame')} at {motion.fps:g} fps"
+        outputs.report(facts, [f"wrote {display_name(file)}: {words}"], read)
     if as_json:
         print_json(written if user_animation() == ALL else written[0])
+
+
+def _say_left_out(file: Path, clip: Clip, root_motion: RootMotion) -> None:
+    """Say which options a file cannot follow."""
+    ending = file.suffix.lower()
+    kept = ending == ".vrm" or (ending == ".glb" and clip.host is not None)
+    if clip.body is not None and (kept or ending not in (".glb", ".usda")):
+        remark(f"--body left out: {file.name} {'keeps that of its character' if kept else 'shows none'}")
+    if root_motion.root == "ground" and ending == ".vrma":
+        remark(f"--root ground left out: {file.name} has the bones of a humanoid alone")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import importlib
+import json
 import os
 from collections import Counter
 from collections.abc import Callable
+from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -55,11 +57,12 @@ class _Job(NamedTuple):
 
 
 class _Done(NamedTuple):
-    """What became of a clip: the error, or "", the notes on what was read, and how clips were read."""
+    """What became of a clip: the error, or "", the notes and remarks, how clips were read, and what --json tells."""
 
     error: str
     notes: list[str]
     read_as: list[str]
+    facts: Any
 
 
 FILES = tuple(
@@ -153,6 +156,7 @@ def _run_folder(values: dict[str, Any], whole: _Folder, jobs: int) -> None:
     failed: list[Line] = []
     notes: list[Line] = []
     read_as: list[Line] = []
+    facts: list[Any] = []
     try:
         with Stages() as show, worker_processes(min(jobs or os.cpu_count() or 1, len(items))) as each:
             progress = show.count("working", len(items))
@@ -163,27 +167,34 @@ def _run_folder(values: dict[str, Any], whole: _Folder, jobs: int) -> None:
                         remark(f"failed: {about(*failed[-1])}")
                 notes += [(path.name, note) for note in done.notes]
                 read_as += [(path.name, words) for words in done.read_as]
+                facts += [done.facts] if done.facts is not None else []
                 progress(number)
     except BaseException:
         remove_leftovers(out)  # of processes that were killed
         raise
-    _report(out, len(found), failed, notes, read_as, values["as_json"])
+    _report(out, len(found), failed, notes, read_as, facts if values["as_json"] else None)
     if failed:
         raise MotionkitError(f"{len(failed)} of {len(found)} files failed")
 
 
 def _report(
-    out: Path, count: int, failed: list[Line], notes: list[Line], read_as: list[Line], as_json: bool
+    out: Path,
+    count: int,
+    failed: list[Line],
+    notes: list[Line],
+    read_as: list[Line],
+    facts: list[Any] | None,
 ) -> None:
-    """Print what became of a folder's clips: each list has a file and what is said of it."""
+    """Print what became of a folder's clips, as JSON if there are facts; a Line is a file and what is said of it."""
     for line in (
         *lines_of_files(notes),
         *(f"failed: {line}" for line in lines_of_files(failed[LISTED_LINES:])),
     ):
         remark(line)
     wrote = count - len(failed)
-    if as_json:
+    if facts is not None:
         summary = {
+            "clips": facts,
             "notes": [note for _, note in notes],
             "taken": dict(Counter(words for _, words in read_as)),
         }
@@ -206,17 +217,17 @@ def _input_lines(read_as: list[Line]) -> list[str]:
 
 
 def _run_one(job: _Job) -> _Done:
-    """Run a command on one clip without output."""
+    """Run a command on one clip, and keep what it prints."""
     from contextlib import redirect_stderr, redirect_stdout
 
     command: click.Command = importlib.import_module(f"motionkit.cli.{job.module}").command
     notes: list[str] = []
     error = ""
     place = next(value for name, value in job.values.items() if name in ("output", "target"))
+    results, remarks = StringIO(), StringIO()
     with (
-        Path(os.devnull).open("w") as nothing,
-        redirect_stdout(nothing),
-        redirect_stderr(nothing),
+        redirect_stdout(results),
+        redirect_stderr(remarks),
         reading(on_note=notes.append),
         click.Context(command) as context,
     ):
@@ -231,6 +242,6 @@ def _run_one(job: _Job) -> _Done:
     read_as = dict.fromkeys(
         words.partition("; ")[2] for words in context.meta.get(READ_AS, ())
     )  # without frames
-    return _Done(
-        error, list(dict.fromkeys(notes)), list(read_as)
-    )  # a file may be read twice, such as for its rig
+    said = [*notes, *([] if error else remarks.getvalue().splitlines())]
+    facts = json.loads(results.getvalue() or "null")
+    return _Done(error, list(dict.fromkeys(said)), list(read_as), facts)  # a rig may be read twice

@@ -79,15 +79,13 @@ def command(
     if target.length > FAR:
         metres = target.length / 100.0
         remark(f"the path is {metres:.0f} m long; {IN_METRES}")
-    size = making.choice.size(model.character(making.character))
-    request = request.on_rig(size, strict)
+    request = request.on_rig(making.choice.size(model.character(making.character)), strict)
     announce(request.seconds, model.fps, request.options)
     for line in request.doubtful:
         remark(line)
     with Stages() as show:
         result = request.run(show.share("following"))
-    times = [frames / model.fps for frames in result.part_frames]
-    bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]
+    bands = [(part.type, part.seconds) for part in result.types]
     written, measured = making.choice.put(result.motion, making.ik, drawn=result.unfinished)
     outputs.write(making.choice.clip_of(written, outputs.file.stem, bands))
     from motionkit.view.figure_data import MotionView
@@ -98,7 +96,7 @@ def command(
         "file": outputs.file,
         "frames": len(written),
         "fps": written.fps,
-        **_facts(target, result, size),
+        **_facts(target, result, request.size),
         "metrics": motion_metrics(measured, making.choice.rig),
     }
     facts["frames_per_second"] = result.frames / max(result.seconds, 1e-9)
@@ -107,7 +105,7 @@ def command(
 
 
 def _facts(path: Path2D, result: FollowResult, size: float) -> dict[str, Any]:
-    """Facts about the result, for JSON; size is that of the rig relative to the body of the result."""
+    """Facts about the result, for JSON; size is that of the written body relative to the one that was moved."""
     parts = [
         {"type": part.type, "mean_cm": d and size * d[0], "max_cm": d and size * d[1]}
         for part, d in zip(path.parts, result.part_distances, strict=True)

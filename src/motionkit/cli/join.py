@@ -118,7 +118,7 @@ def command(
             )
     length = f"{len(made)} frames, {made.seconds:.2f} s at {made.fps:g} fps"
     lines = [f"wrote {display_name(outputs.file)}: {length}"]
-    short = [Path(name).name for name in names]
+    short = [f"{clip.name} {name or ''}".strip() for clip, name in chosen]
     lines += [f"  {seam.sentence(*two)}" for seam, two in zip(joined.seams, pairwise(short), strict=True)]
     facts = {"output": outputs.file, "frames": len(made), "fps": made.fps}
     read = [(clip, source.in_file()) for clip, source in zip(files, sources, strict=True)]

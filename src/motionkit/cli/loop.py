@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -61,7 +62,8 @@ def command(
         loop = make_loop(source.motion, seconds, from_origin=at_origin)
     with naming(clip):
         made = root_motion.applied(loop.motion, cyclic=True)
-        outputs.write(source.with_motion(made))
+        types = source.cut_types(loop.start / source.motion.fps, loop.end / source.motion.fps)
+        outputs.write(replace(source.with_motion(made), types=types * loop.times))
     outputs.show(lambda: [MotionView(outputs.file.stem, made, character=source.character)])
     if note := loop.note(seconds):
         remark(note)

@@ -43,6 +43,7 @@ def command(source: Path, target: Path | None, as_json: bool) -> None:
     From .bvh to .bvh, the hierarchy, the channels and the digits stay. From a .glb or .vrm to such a file, the mirror
     image is added to its animations. Without TARGET the file is SOURCE-mirrored.bvh in the current folder.
     """
+    from motionkit.data.labels import mirrored_type
     from motionkit.export.formats import read_clip
     from motionkit.motion.bvh import bvh_to_motion
     from motionkit.rig.mirror import mirror_file, mirror_motion
@@ -58,6 +59,7 @@ def command(source: Path, target: Path | None, as_json: bool) -> None:
         motion = clip.in_file()
         with naming(source):
             mirrored = clip.with_motion(mirror_motion(clip.motion))
-        outputs.write(replace(mirrored, name=f"{clip.name}-mirrored"))
+        types = tuple((mirrored_type(kind), seconds) for kind, seconds in clip.types)
+        outputs.write(replace(mirrored, name=f"{clip.name}-mirrored", types=types))
     line = f"wrote {display_name(outputs.file)}: the mirror image of {source}"
     outputs.report({"file": source, "output": outputs.file}, [line], (source, motion))

@@ -113,7 +113,7 @@ class OutputOptions:
 
     def check(self, count: int = 1) -> None:
         """Raise UsageError for options that BVH on standard output excludes."""
-        others = {"--view": self.view, "--json": self.as_json, f"--count {count}": count > 1}
+        others = {"--view": self.view, "--json": self.as_json, f"{count} motions": count > 1}
         for name in (name for name, used in others.items() if used and self.output == STDOUT):
             raise click.UsageError(
                 f"{name} cannot be combined with standard output (-), which gets one motion"

@@ -201,10 +201,11 @@ def command(
     with rigs.reading():
         bvh = read_file(source)
         motion, report, known = rigs.canonical(source, bvh, choice.rig)
-    if fps or choice.fps:
+    if rate := fps or choice.fps:
+        from motionkit.editing.loop import is_cycle
         from motionkit.motion.motion import resample
 
-        motion = resample(motion, fps or choice.fps or motion.fps)
+        motion = resample(motion, rate, is_cycle(motion))
     made = RootMotion(rest=rigs.rest, rest_frame=rigs.rest_frame).applied(
         choice.on_rig(motion, ik), rig=choice.rig
     )

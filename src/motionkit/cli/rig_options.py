@@ -94,7 +94,7 @@ rest_options = together(
         type=click.Choice(["file", "tpose", "apose"]),
         default="file",
         help="Rest pose to write: that of the rig or clip, a T-pose, or an A-pose with arms 45 degrees down; the "
-        "motion stays the same. A .glb or .vrm that the motion is added to keeps its own.",
+        "motion stays the same. Not for a .glb or .vrm that the motion is added to, which keeps its own.",
     ),
     click.option(
         "--rest-frame",

@@ -120,12 +120,19 @@ class Making:
         """The input files."""
         return (self.model_path, self.init, *self.choice.files)
 
+    def body_of(self, number: int) -> str:
+        """The name of the body of a motion by its number, from 0."""
+        names = self.character.split(",")
+        return names[number % len(names)].strip()
+
     def words(self) -> dict[str, Any]:
         """Keywords for mk.synthesize and mk.follow_path; opens the model."""
         from motionkit.models.bundled import open_model
 
         model = open_model(self.model_path, self.reference)
         noise = make_noise(self.noise, self.temperature, model)
+        if self.choice.rig is not None and self.character != "default" and not model.shows_bodies:
+            remark("--character is left out: the motion gets the body of --rig")
         words: dict[str, Any] = {"model": model, "noise": noise, "seed": self.seed, "init": self.init}
         return words | {"character": self.character, "ik": self.ik, "fps": self.fps or self.choice.fps}
 

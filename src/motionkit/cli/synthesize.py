@@ -98,7 +98,8 @@ def command(
     inputs = (*making.inputs, *((keys_file, *key_files(keys_file)) if keys_file else ()))
     keys = request.options.keys  # in the world of the rig
     if keys:
-        request = request.on_rig(making.choice.size(request.model.character(making.character)))
+        body = request.model.character(request.options.characters[0])
+        request = request.on_rig(making.choice.size(body))
     ending = making.choice.ending
     outputs = output_options.files(request.name, inputs, request.options.count, ending=ending)
     announce(request.frames / request.model.fps, request.model.fps, request.options)
@@ -128,6 +129,7 @@ def _check(
     output_options: OutputOptions,
 ) -> None:
     """Raise UsageError for contradictory options."""
+    count = max(count, len(types), len(making.character.split(",")))
     if not types:
         raise click.UsageError(
             "give --types, such as --types running,cartwheel; --list-types lists the model's types"
@@ -136,12 +138,12 @@ def _check(
         from motionkit.view.viewer import MAX_MOTIONS
 
         if count > MAX_MOTIONS:
-            raise click.UsageError(f"--view shows up to {MAX_MOTIONS} motions, found --count {count}")
+            raise click.UsageError(f"--view shows up to {MAX_MOTIONS} motions, found {count}")
     if loops and keys_file is not None:
         raise click.UsageError("--loop and --keys cannot be combined")
     if keys_file is not None and making.choice.root_motion.in_place:
         raise click.UsageError("--keys says where to be on the ground, which --in-place leaves out")
-    output_options.check(max(count, len(types)))
+    output_options.check(count)
 
 
 def _write(
@@ -166,6 +168,7 @@ def _write(
         outputs.write(making.choice.clip_of(put, file.stem, parts), number)
         views.append(MotionView(file.stem, put, parts, character=making.choice.character))
         facts = {"file": file, "frames": len(put), "fps": one.motion.fps, "types": parts}
+        facts |= {"seed": making.seed + number, "character": making.body_of(number)}
         facts |= {"metrics": motion_metrics(measured, making.choice.rig)}
         cycle = put.cut(1, len(put)) if making.choice.root_motion.rest_frame else put
         seam = motion_seam(cycle) if cycles else None

@@ -48,6 +48,7 @@ def command(
     output_options: OutputOptions,
 ) -> None:
     """Cut a stretch out of CLIP, a motion of any rig; joints, unit and axes stay."""
+    from motionkit.editing.loop import is_cycle
     from motionkit.editing.trim import moving_frames
     from motionkit.export.formats import read_clip
     from motionkit.motion.motion import resample
@@ -73,9 +74,11 @@ def command(
         first, last = first + begin, first + finish
     made = motion.cut(first, last)
     rate = fps or made.fps
-    made = replace(resample(replace(made, fps=made.fps * (speed or 1.0)), rate), fps=rate)
+    hurried = replace(made, fps=made.fps * (speed or 1.0))
+    made = replace(resample(hurried, rate, is_cycle(made)), fps=rate)
     with naming(clip):
-        outputs.write(source.with_motion(made))
+        types = source.cut_types(first / motion.fps, last / motion.fps, speed or 1.0)
+        outputs.write(replace(source.with_motion(made), types=types))
     outputs.show(lambda: [MotionView(outputs.file.stem, made, character=source.character)])
     facts = {"output": outputs.file, "start": first, "end": last, "frames": len(made), "fps": made.fps}
     kept = f"frames {first} to {last - 1} of {clip.name}, {made.seconds:.2f} s at {made.fps:g} fps"

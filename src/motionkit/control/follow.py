@@ -17,6 +17,7 @@ from motionkit.control.path import Path2D
 from motionkit.control.path_place import PathPlace
 from motionkit.control.plan import Plan, plan_path
 from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.script import TypePart
 from motionkit.control.speeds import acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, check_size, finished, unfinished
 from motionkit.errors import ControlError, naming
@@ -44,6 +45,7 @@ class FollowResult:
         distance: distance to the whole path, on the default body.
         part_distances: mean and largest distance (cm) of the frames on each part; None for a part not reached.
         part_frames: frames at the model's rate on each part.
+        types: the type of each part, and its seconds.
         finished: whether the character reached the end.
         seconds: duration of the roll-out.
         frames: frames at the model's rate.
@@ -55,6 +57,7 @@ class FollowResult:
     distance: TrajectoryDistance
     part_distances: tuple[tuple[float, float] | None, ...]
     part_frames: tuple[int, ...]
+    types: tuple[TypePart, ...]
     finished: bool
     seconds: float
     frames: int
@@ -91,7 +94,8 @@ class PathFollower:
         place, path = self.place, self.route.path
         standing = place.move(ground[0])
         trajectory, part = np.array(place.words.trajectory, np.float32), place.words.present
-        self.parts.append(part)
+        # A body that stands at a stop may be past the end of its part by a few centimetres.
+        self.parts.append(place.words.stop if place.words.stood >= 0 else part)
         kind = self.model.kind(path.parts[part].type)
         controls = Controls.of_types(place.weights[None].copy())
         if kind.steered:
@@ -185,11 +189,14 @@ def follow_path(
     most = acceleration_limit(model, [part.type for part in path.parts])
     drawn = unfinished(model, rollout, 0, skeleton, most)
     motion, raw = finished(model, drawn, skeleton, options)
+    counts = np.bincount(follower.parts, minlength=len(path.parts)).tolist()
+    shown = zip(path.parts, counts, strict=True)
     return FollowResult(
         motion,
         trajectory_distance(track, path.points),
         _part_distances(track, np.array(follower.parts), path),
-        tuple(np.bincount(follower.parts, minlength=len(path.parts)).tolist()),
+        tuple(counts),
+        tuple(TypePart(part.type, frames / model.fps) for part, frames in shown),
         arrived(),
         seconds,
         len(track),

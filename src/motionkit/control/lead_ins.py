@@ -59,7 +59,7 @@ def with_lead_ins(
         return list(parts)
     idle = str(usual_gaits(model).stand)
     out: list[TypePart] = []
-    left = 0.0
+    left, slack = 0.0, 0.5 / model.fps  # sums of seconds are rounded: a whole performance may lack a little
     for number, part in enumerate(parts):
         seconds, left = round(part.seconds * model.fps) / model.fps + left, 0.0
         lead_in = _lead_in(model, out[-1].type if out else None, part.type, start_state)
@@ -73,9 +73,9 @@ def with_lead_ins(
         again = _lead_in(model, part.type, part.type)
         period = length + (_before(model, again) or PAUSE / model.fps)
         spare = seconds - before - length - (LEAST_REST if last else 0.0)
-        more = max(0, int(spare / period))
+        more = max(0, int((spare + slack) / period))
         rest = seconds - before - length - more * period
-        if last and rest < LEAST_REST and (lead_in or out):
+        if last and rest < LEAST_REST - slack and (lead_in or out):
             # Too short to stand.
             if lead_in:
                 before += rest

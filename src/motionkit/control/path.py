@@ -248,6 +248,8 @@ def read_path(file: str | Path) -> Path2D:
     if file.suffix.lower() in ENDINGS and file.exists():
         raise ControlError(f"{file}: is a motion, expected a path: a JSON or CSV file, or a named shape")
     text = read_text(file, "a path", ControlError)
+    if text.lstrip().startswith("<"):  # SVG and its like
+        raise ControlError(f"{file}: expected a path as JSON or CSV, found XML")
     parts = _csv_parts(file, text) if _is_table(file, text) else _json_parts(file, text)
     with naming(file, ControlError):
         return make_path(parts)
@@ -259,6 +261,7 @@ def _is_table(file: Path, text: str) -> bool:
 
 
 _FIELDS = ("type", "points", "speed", "stop")
+_COLUMNS = ("x", "z", "type", "speed", "stop")
 
 
 def _json_parts(file: Path, text: str) -> list[PathPart]:
@@ -313,35 +316,43 @@ def _part(where: str, points: list, kind: str, speed: float | None, stop: float)
 
 def _csv_parts(file: Path, text: str) -> list[PathPart]:
     lines = text.splitlines()
+    above = int(bool(lines) and lines[0].lower().startswith("sep="))  # a line for Excel, above the names
+    lines = lines[above:]
+    header = lines[0] if lines else ""
     # Spreadsheets write commas, tabs, or, where numbers have commas, semicolons.
-    between = next((each for each in "\t;" if lines and each in lines[0]), ",")
+    between = next((each for each in "\t;" if each in header), ",")
     reader = csv.DictReader(lines, delimiter=between)
     groups: list[tuple[str, float | None, list[list[float]]]] = []
     stops: list[float] = []
     try:
         found = [name.strip().lower() for name in reader.fieldnames or []]
-        twice = [name for name in ("x", "z", "type", "speed", "stop") if found.count(name) > 1]
+        twice = [name for name in _COLUMNS if found.count(name) > 1]
         if twice:
             raise ControlError(
-                f"{file}:1: expected each column once, found {twice[0]} {found.count(twice[0])} times"
+                f"{file}:{above + 1}: expected each column once, found {twice[0]} {found.count(twice[0])} times"
             )
         missing = [name for name in ("x", "z", "type") if name not in found]
         if missing:
-            first = f"found {lines[0][:40]!r}" if found else "found nothing"
+            first = f"found {header[:40]!r}" if found else "found nothing"
             raise ControlError(
-                f"{file}:1: expected a first line that names the columns x, z and type, {first}; "
+                f"{file}:{above + 1}: expected a first line that names the columns x, z and type, {first}; "
                 f"it lacks {', '.join(missing)}"
             )
+        for name in found:  # y, the height, is that of the ground
+            if name not in (*_COLUMNS, "y", ""):
+                raise ControlError(f"{file}:{above + 1}: {unknown_name('column', name, _COLUMNS)}")
         reader.fieldnames = found
         for row in reader:
-            kind, speed, stop, point = _csv_row(f"{file}:{reader.line_num}", row)
+            if not any(value and value.strip() for value in row.values() if isinstance(value, str)):
+                continue  # spreadsheets end with empty rows
+            kind, speed, stop, point = _csv_row(f"{file}:{reader.line_num + above}", row)
             if not groups or groups[-1][:2] != (kind, speed) or stops[-1]:
                 groups.append((kind, speed, []))
                 stops.append(0.0)
             groups[-1][2].append(point)
             stops[-1] = stop
     except csv.Error as error:
-        raise ControlError(f"{file}:{reader.line_num + 1}: not a table row ({error})") from None
+        raise ControlError(f"{file}:{reader.line_num + above + 1}: not a table row ({error})") from None
     return [
         _part(f"{file}: part {i}", points, kind, speed, stop)
         for i, ((kind, speed, points), stop) in enumerate(zip(groups, stops, strict=True), 1)

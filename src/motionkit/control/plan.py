@@ -161,7 +161,9 @@ def whole_performances(model: MotionModel, parts: Sequence[TypePart], behind: in
         ended = bool(length) and seconds > first - frame
         if length and first > 0.0 and number + 1 < len(parts) and seconds > first:
             again = length + pause
-            whole = round((first + again * int((seconds - first) / again)) * model.fps) / model.fps
+            whole = (
+                round((first + again * int((seconds - first + frame / 2) / again)) * model.fps) / model.fps
+            )
             seconds, left = whole, seconds - whole
         out.append(TypePart(part.type, seconds))
     return out

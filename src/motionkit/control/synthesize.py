@@ -64,6 +64,8 @@ class SynthesisOptions:
     noise None takes the model's default noise, and fps None its rate. ik finishes the motion, raw also keeps the motion
     before finishing, and keys are keys to meet.
 
+    character holds names of bodies, separated by commas, which the motions take in turn.
+
     Raises ControlError for a count below 1, an invalid seed, or a noise that is no Noise.
     """
 
@@ -84,6 +86,11 @@ class SynthesisOptions:
         if self.noise is not None and not isinstance(self.noise, Noise):
             raise ControlError(f"expected noise such as mk.Noise('mean'), found {self.noise!r}")
 
+    @property
+    def characters(self) -> list[str]:
+        """The names in character."""
+        return [name.strip() for name in self.character.split(",")]
+
 
 @dataclass(frozen=True, eq=False)
 class SynthesisResult:
@@ -96,6 +103,11 @@ class SynthesisResult:
     def motion(self) -> Motion:
         """The first motion, for calls that make only one."""
         return self.motions[0].motion
+
+    @property
+    def types(self) -> Sequence[TypePart]:
+        """The types of the first motion."""
+        return self.motions[0].types
 
     @property
     def unfinished(self) -> Unfinished | None:
@@ -127,7 +139,7 @@ def synthesize(
     """
     options = options or SynthesisOptions()
     sequences = _sequences(model, parts, options)
-    names = [name.strip() for name in options.character.split(",")]
+    names = options.characters
     skeletons = [model.character(name) for name in names]
     init = None if options.init is None else clip_motion(model, options.init)
     bodies, starts, plans = [], [], []

@@ -303,19 +303,32 @@ def _cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, fl
 
     A clip that was made as a cycle is not cut for one that is a little shorter.
     """
-    ends = upright.positions if upright.canonical is None else upright.facing_positions
-    apart = np.linalg.norm(ends[-1] - ends[0], axis=-1)
-    moves = len(ends) > 2 and float(np.ptp(ends, axis=0).max()) > CLOSED
-    step = float(np.median(np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=-1))) if moves else 0.0
-    whole = 0, len(ends) - 1, float(apart.mean())
+    apart, step = _ends(upright)
+    whole = 0, len(upright.motion) - 1, float(apart.mean())
     try:
         found = find_cycle(upright, seconds)
     except MotionkitError:
-        if not moves or apart.max() > max(CLOSED, CLOSED_STEP * step):
+        if not step or apart.max() > max(CLOSED, CLOSED_STEP * step):
             raise
         return whole
-    made_as_one = moves and seconds is None and apart.max() < min(CLOSED, step)
+    made_as_one = seconds is None and apart.max() < min(CLOSED, step)
     return whole if made_as_one and 2 * (found[1] - found[0]) > whole[1] else found
+
+
+def is_cycle(motion: Motion) -> bool:
+    """Whether a motion was made as one cycle: its last frame equals its first, somewhere else on the ground perhaps."""
+    if len(motion) < 3:
+        return False
+    apart, step = _ends(Upright.of(motion))
+    return bool(apart.max() < min(CLOSED, step))
+
+
+def _ends(upright: Upright) -> tuple[Array, float]:
+    """Distances (J,) in cm of the last frame from the first, and the median step of the fastest joint; 0 if still."""
+    ends = upright.positions if upright.canonical is None else upright.facing_positions
+    moves = len(ends) > 2 and float(np.ptp(ends, axis=0).max()) > CLOSED
+    steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1)
+    return np.linalg.norm(ends[-1] - ends[0], axis=-1), float(np.median(steps.max(axis=-1))) if moves else 0.0
 
 
 def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, float]:

@@ -14,6 +14,7 @@ from motionkit.rig.rig import Rig
 from motionkit.view.asset import BODIES
 
 _SAME_REST = 1e-5  # share of the leg by which the offsets of a rig whose rest pose was kept may differ
+_AS_LONG = 0.1  # s; an edited motion whose length differs by less has the types of the clip
 LARGEST = 1e7  # largest length in a file, in metres or centimetres
 
 
@@ -63,15 +64,26 @@ class Clip:
         return self.motion if self.per_unit == 1.0 else self.motion.scaled(1.0 / self.per_unit)
 
     def with_motion(self, motion: Motion) -> Clip:
-        """The clip with an edited motion; keeps channels and hierarchy if they fit it, and its character anyway."""
+        """The clip with an edited motion; keeps what fits it: channels, hierarchy, types; and its character anyway."""
         kept = self._holds(motion)
+        as_long = abs(motion.seconds - self.motion.seconds) < _AS_LONG
         same = kept and np.array_equal(motion.skeleton.offsets, self.motion.skeleton.offsets)
         return replace(
             self,
             motion=motion,
             channels=self.channels if kept else None,
             hierarchy=self.hierarchy if same else None,
+            types=self.types if as_long else (),
         )
+
+    def cut_types(self, start: float, end: float, speed: float = 1.0) -> tuple[tuple[str, float], ...]:
+        """The types of a stretch, from and to a time in seconds, played at a factor on its pace."""
+        out, at = [], 0.0
+        for kind, seconds in self.types:
+            inside = min(end, at + seconds) - max(start, at)
+            out += [(kind, inside / speed)] if inside > 0.0 else []
+            at += seconds
+        return tuple(out)
 
     def _holds(self, motion: Motion) -> bool:
         """Whether the channels can hold a motion: three rotations per joint, and translations for joints that move."""

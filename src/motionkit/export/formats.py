@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
+from itertools import groupby
 from pathlib import Path
 
 from motionkit.errors import MotionkitError
@@ -50,17 +51,27 @@ def write_motion(path: str | Path, motion: Motion | Clip) -> None:
 
     Args:
         path: its ending is one of WRITERS.
-        motion: a motion of any rig, or a result of synthesize, follow_path or loop; a .bvh file keeps its unit, others
-            use metres or centimetres.
+        motion: a motion of any rig, or a result of synthesize, follow_path or loop, whose types are written too; a .bvh
+            file keeps its unit, others use metres or centimetres.
 
     Raises:
-        MotionkitError: the ending is unknown, the motion is not finite, or the file cannot be written.
+        MotionkitError: the ending is unknown, the result has several motions, the motion is not finite, or the file
+            cannot be written.
         SkeletonError: a .vrma file for a rig that is not human.
     """
     write = _find(path)
-    clip = motion if isinstance(motion, Clip) else Clip(as_motion(motion), Path(path).stem)
+    clip = motion if isinstance(motion, Clip) else _clip_of(path, motion)
     check_numbers(path, clip.motion)
     write(path, clip)
+
+
+def _clip_of(path: str | Path, value: object) -> Clip:
+    """The clip of a motion or result, with its types if it has any."""
+    count = len(getattr(value, "motions", ()))
+    if count > 1:
+        raise MotionkitError(f"{path}: a file takes one motion, found {count}; write each of its motions")
+    types = tuple((part.type, part.seconds) for part in getattr(value, "types", ()))
+    return Clip(as_motion(value), Path(path).stem, types)
 
 
 def read_motion(path: str | Path) -> Motion:
@@ -111,15 +122,21 @@ def _read_joints(path: str | Path) -> Clip:
     if name not in (None, ALL):
         report_notes(path, (f"its only motion, for its format has none called {visible(str(name))}",))
     clip = Clip(bvh_to_motion(bvh), Path(path).stem, channels=bvh.channels, hierarchy=bvh.hierarchy)
+    if Path(path).suffix.lower() == ".npz":
+        from motionkit.motion.npz import frame_types
+
+        runs = groupby(frame_types(path))
+        clip = replace(clip, types=tuple((kind, len([*run]) / bvh.fps) for kind, run in runs))
     return clip.with_motion(clip.motion)
 
 
 def _read_character(path: str | Path, name: str | None) -> Clip:
     from motionkit.rig.character import read_character
-    from motionkit.rig.read_glb import CM, motion_of
+    from motionkit.rig.read_glb import CM, motion_of, told_types
 
     character = read_character(path)
     called, motion = motion_of(character, name)
     # A unit that the user gives is that of the file.
     per_unit = CM if user_cm() is None else 1.0
-    return Clip(motion.scaled(per_unit), called, character=character, per_unit=per_unit)
+    types = told_types(character.tree.file, called)
+    return Clip(motion.scaled(per_unit), called, types, character=character, per_unit=per_unit)

@@ -112,10 +112,11 @@ def as_motion(value: object) -> Motion:
     return found
 
 
-def resample(motion: Motion, fps: float) -> Motion:
+def resample(motion: Motion, fps: float, cyclic: bool = False) -> Motion:
     """Resample a motion to another frame rate: rotations by slerp, positions linearly.
 
-    Frame 0 keeps its time, and the last frame is at or before the last frame of the source.
+    Frame 0 keeps its time, and the last frame is at or before the last frame of the source. A cyclic motion keeps its
+    last frame too, which equals its first, so that its pace changes by less than half a frame.
 
     Raises:
         MotionkitError: the rate is not above 0, the motion is longer than longest_seconds(), or it does not fit into
@@ -130,9 +131,12 @@ def resample(motion: Motion, fps: float) -> Motion:
             f"{len(motion)} frames at {motion.fps:g} fps last {motion.seconds / 3600:.3g} hours, "
             f"expected at most {longest_seconds(motion.fps) / 3600:g}"
         )
-    frames = int((len(motion) - 1) * fps / motion.fps + 1e-6) + 1
+    last = (len(motion) - 1) * fps / motion.fps
+    frames = (max(1, round(last)) if cyclic else int(last + 1e-6)) + 1
     check_memory(frames, len(motion.skeleton), fps)
     times = np.arange(frames, dtype=np.float64) * (motion.fps / fps)
+    if cyclic:
+        times = np.linspace(0.0, len(motion) - 1, frames)
     before = np.minimum(np.floor(times), len(motion) - 2).astype(np.int64)
     fraction = (times - before).astype(motion.local_rotations.dtype)
     after = before + 1

@@ -67,6 +67,13 @@ def has_motion(path: str | Path) -> bool:
         return True
 
 
+def frame_types(path: str | Path) -> list[str]:
+    """The motion type of each frame that an archive of motionkit names; empty if it names none."""
+    with _opened(path) as archive:
+        told = [str(kind) for kind in archive.read("types", (None,), "name")] if "types" in archive else []
+    return told if all(kind.isprintable() and kind for kind in told) else []
+
+
 class _Archive:
     """The arrays of an archive, of which none is read before its header says that it fits."""
 

@@ -64,6 +64,24 @@ class Track:
         return lerp(values[before], values[after], share)
 
 
+def told_types(file: GltfFile, clip: str) -> tuple[tuple[str, float], ...]:
+    """The motion types and their seconds that motionkit writes beside an animation; empty if there are none."""
+    number = [name for name, _ in clip_lengths(file)].index(clip)
+    extras = file.items("animations")[number].get("extras")
+    types = extras.get("types") if isinstance(extras, dict) else None
+    if not isinstance(types, list):
+        return ()
+    fits = all(
+        isinstance(each, list)
+        and len(each) == 2
+        and isinstance(each[0], str)
+        and type(each[1]) in (int, float)
+        and 0.0 <= each[1] < float("inf")
+        for each in types
+    )
+    return tuple((visible(kind), float(seconds)) for kind, seconds in types) if fits else ()
+
+
 def motion_of(character: Character, clip: str | None = None) -> tuple[str, Motion]:
     """The name and the motion, in metres, of an animation of a character, by its name if there are several.
 

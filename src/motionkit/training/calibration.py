@@ -30,7 +30,7 @@ from motionkit.training.verdict.real import RealMotion
 GAINS = (0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 2.25, 2.5)
 # Noise scales to try without references. Movement grows much faster than the noise.
 NOISES = (0.2, 0.5, 0.7, 0.85, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5)
-SEED, REPEATS = 500, 8  # first seed of the roll-outs, and their number per type
+SEED, REPEATS = 500, 16  # first seed of the roll-outs, and their number per type
 TOGETHER = 128  # roll-outs that run at once
 # Seconds that a roll-out takes from standing or walking to its type, which are not measured. Roll-outs start like this
 # because a roll-out from the type's own start pose moves more.
@@ -40,6 +40,7 @@ JERK = 1.2  # jerk over recorded jerk that costs nothing: networks shake a littl
 JERK_WEIGHT = 0.25  # weight of jerk above JERK
 # Jerk over recorded jerk above which jerk costs extra, with weight 1. The scoreboard allows 1.5 in a minute.
 MOST_JERK = 1.4
+SHOWN_WEIGHT = 3.0  # weight of showing the type: a motion that is another one is the worst fault
 JERK_OF_NOISE = 1.0  # JERK_WEIGHT for the calibration of noise
 SELDOM = 0.05  # added to shares before their ratio, so that small shares matter little
 # Share of time that a motion may hover beyond the recorded share without cost, as in the scoreboard's target.
@@ -83,7 +84,7 @@ class Movement:
             )
         )
         shaking = jerk_weight * max(0.0, shakier - math.log(JERK)) + max(0.0, shakier - math.log(MOST_JERK))
-        return abs(faster) + abs(longer) + max(0.0, higher) + max(0.0, rarer) + shaking
+        return abs(faster) + abs(longer) + max(0.0, higher) + SHOWN_WEIGHT * max(0.0, rarer) + shaking
 
 
 def training_judge(dataset: Dataset) -> Judge:

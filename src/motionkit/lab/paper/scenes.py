@@ -132,8 +132,7 @@ def make_scene(model: MotionModel, scene: Scene, seed: int) -> Made:
     else:
         path = make_path([PathPart(np.array(points) * METRE, kind) for kind, points in scene.sections])
     found = follow_path(model, path, options)
-    seconds = [frames / model.fps for frames in found.part_frames]
-    bands = [(part.type, spent) for part, spent in zip(path.parts, seconds, strict=True)]
+    bands = [(part.type, part.seconds) for part in found.types]
     return Made(
         scene, MotionView(title, found.motion, bands, path.points), found.distance.mean, found.finished
     )
