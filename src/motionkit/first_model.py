@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motionkit.errors import DatasetError, MotionkitError, OverwriteError
-from motionkit.files import atomic_write, check_foreign, files_below
+from motionkit.files import atomic_write, check_foreign, files_below, read_bytes
 from motionkit.locks import locked
 from motionkit.names import about, counted, duration, first_lines
 
@@ -120,8 +121,8 @@ def quickstart(
 
     Raises:
         OverwriteError: a model exists and neither force nor resume is set; a file is in the way that motionkit did
-            not write; output is inside data; or a run is resumed with add, another seed or without mirror images
-            although it was begun otherwise.
+            not write; output is inside data; or a run is resumed with other clips, add, another seed or without mirror
+            images although it was begun otherwise.
         MotionkitError: torch is not installed, no type can be learnt, or another process makes the model.
         QuickstartStopped: Ctrl-C.
     """
@@ -142,6 +143,7 @@ def _quickstart(data: Path, target: Path, options: QuickstartOptions, watcher: W
         if dataset is not None:
             if not options.mirror and any(clip.mirrored for clip in dataset.clips):
                 raise OverwriteError(f"--no-mirror: {target} was begun without it; begin anew with --force")
+            _check_same(data, dataset)
             _tell_changed(data, target, watcher)
         else:
             _look(data, watcher)
@@ -209,6 +211,19 @@ def _made_dataset(target: Path) -> Dataset | None:
         return Dataset(target / DATASET)
     except DatasetError:
         return None
+
+
+def _check_same(data: Path, dataset: Dataset) -> None:
+    """Raise OverwriteError if no file of the data is one that the dataset was made of."""
+    from motionkit.motion.bvh_text import MAX_BYTES
+    from motionkit.rig.read_file import ENDINGS
+
+    known = {file.get("sha256") for file in dataset.manifest.get("files", [])} - {None, ""}
+    found = files_below(data, ENDINGS)
+    if known and not any(hashlib.sha256(read_bytes(path, MAX_BYTES)).hexdigest() in known for path in found):
+        raise OverwriteError(
+            f"{dataset.folder}: was made of other clips than {data}; begin anew with --force"
+        )
 
 
 def _tell_changed(data: Path, target: Path, watcher: Watcher) -> None:

@@ -16,7 +16,7 @@ from motionkit.cli.common import lines_of_files
 from motionkit.errors import OverwriteError
 from motionkit.export.formats import write_motion
 from motionkit.files import atomic_write, check_outputs, files_below
-from motionkit.motion.bvh import read_bvh
+from motionkit.motion.bvh import read_bvh, write_bvh
 from synthetic_motions import make_walk
 
 from .test_mirror import RIG
@@ -140,10 +140,19 @@ def test_motion_on_standard_output(words: list[str], tmp_path: Path, tiny_model_
     assert len(read_bvh(tmp_path / "x.bvh").values) >= 6
 
 
-@pytest.mark.parametrize("words", [["--view"], ["--json"], ["--count", "2"]])
-def test_what_does_not_go_with_standard_output(motionkit, tmp_path: Path, words: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("words", "told"), [(["--view"], "--view"), (["--json"], "--json"), (["--count", "2"], "2 motions")]
+)
+def test_what_does_not_go_with_standard_output(
+    motionkit, tmp_path: Path, words: list[str], told: str
+) -> None:
     said = motionkit("synthesize", "--types", "idle:0.1", "-o", "-", *words)
-    assert said.code == 2 and " ".join(words) in said.err and not said.out and not list(tmp_path.iterdir())
+    assert (
+        said.code == 2
+        and f"{told} cannot be combined" in said.err
+        and not said.out
+        and not list(tmp_path.iterdir())
+    )
 
 
 def linked_clips(folder: Path) -> Path:
@@ -270,3 +279,19 @@ def test_a_body_far_away_is_told_that_its_places_are_rounded(motionkit, home: Pa
     write_motion(home / "far.bvh", replace(walk, root_positions=walk.root_positions + np.float32(4e6)))
     said = motionkit("convert", "far.bvh", "near.npz")
     assert "places rounded to 0.25, because it is 4,000," in said.err
+
+
+def test_a_folder_tells_what_each_clip_tells(motionkit, tmp_path: Path) -> None:
+    (tmp_path / "d").mkdir()
+    for turn in (0.0, 0.3):
+        write_bvh(tmp_path / "d" / f"walk-{turn}.bvh", make_walk(300, turn=turn))
+    alone = json.loads(motionkit("loop", "d/walk-0.0.bvh", "--seconds", 1.5, "--json").out)
+    for again in (False, True):
+        said = motionkit("loop", "d", "-o", "out", "--seconds", 1.5, "--json")
+        told = json.loads(said.out)
+        assert told["written"] == 2 and [each["output"] for each in told["clips"]] == [
+            "out/walk-0.0.bvh",
+            "out/walk-0.3.bvh",
+        ]
+        assert told["clips"][0] | {"output": ""} == alone | {"output": ""}
+        assert ("replaced" in said.err) == again == any("replaced" in note for note in told["notes"])

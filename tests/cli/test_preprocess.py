@@ -113,3 +113,9 @@ def test_a_terminated_process_leaves_nothing_behind(tmp_path: Path) -> None:
     assert running.returncode == 130 and not out
     assert err.strip() == "stopped"
     assert [p.name for p in tmp_path.iterdir()] == ["clips"]
+
+
+def test_the_layout_of_the_paper_has_references_of_its_own(motionkit, clips: Path, tmp_path: Path) -> None:
+    said = motionkit("preprocess", clips, "-o", "out", "--layout", "expmap-root-1", "--references", "own")
+    assert said.code == 2 and "--references is for the other layout" in said.err
+    assert not (tmp_path / "out").exists()

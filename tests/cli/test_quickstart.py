@@ -111,6 +111,10 @@ def test_it_goes_on_wherever_it_stopped(motionkit, clips: Path, tmp_path: Path, 
     assert said.code == 0 and "types work; wrote" in said.out
     assert {"motions.html", "motions.png", "verdict.md"} <= {path.name for path in target.iterdir()}
     assert steps == [1, 2] and load_model(target / "model.safetensors").card["steps"] == 2
+    (tmp_path / "other").mkdir()
+    write_bvh(tmp_path / "other" / "spin.bvh", make_walk(90, turn=2.0))
+    said = motionkit("quickstart", "other", "-o", target, "--steps", 2, "--resume")
+    assert said.code == 2 and "was made of other clips than other; begin anew with --force" in said.err
     for other in (["--add"], ["--seed", "7"], ["--no-mirror"]):
         said = motionkit(*words[:-1], *other, "--resume")
         assert said.code == 2 and "was begun with" in said.err, other

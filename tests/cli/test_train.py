@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+import motionkit as mk
 from motionkit.models.checkpoint import load_model
+from motionkit.training.trainer import TrainResult
 
 QUICK = ("--preset", "tiny", "--batch", 2, "--window", 16, "--splices", 0, "--device", "cpu")
 
@@ -90,3 +92,26 @@ def test_a_damaged_dataset(motionkit, dataset_folder: Path, tmp_path: Path) -> N
     (tmp_path / "ds" / "features.npy").write_bytes(b"torn")
     assert motionkit("train", "ds", *QUICK, "--steps", 1).failed_with("features.npy")
     assert [p.name for p in tmp_path.iterdir()] == ["ds"]
+
+
+@pytest.mark.usefixtures("unscored")
+def test_the_log_of_another_run_is_kept(motionkit, dataset_folder: Path, tmp_path: Path) -> None:
+    words = ("train", dataset_folder, *QUICK, "--log-dir", "logs")
+    assert motionkit(*words, "-o", "a.safetensors", "--steps", 1).code == 0
+    kept = (tmp_path / "logs" / "log.csv").read_bytes()
+    refused = motionkit(*words, "-o", "b.safetensors", "--steps", 1)
+    assert refused.code == 2
+    assert "log.csv: exists; choose another folder, or replace it with --force" in refused.err
+    assert (tmp_path / "logs" / "log.csv").read_bytes() == kept
+    assert motionkit(*words, "-o", "a.safetensors", "--steps", 2, "--resume").code == 0
+    assert motionkit(*words, "-o", "a.safetensors", "--steps", 2, "--resume", "--force").code == 2
+
+
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_a_run_that_is_stopped_says_so(
+    motionkit, dataset_folder: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    result = TrainResult(Path("m.safetensors"), 1, 1.0, False, {"total": 1.0})
+    monkeypatch.setattr(mk, "train", lambda *_: result)
+    said = motionkit("train", dataset_folder, "-o", "m.safetensors", *QUICK, "--steps", 2, *words)
+    assert said.code == 130

@@ -91,3 +91,9 @@ def test_a_twin_that_is_no_type_is_refused(folder: Path, tmp_path: Path) -> None
     (tmp_path / "manifest.json").write_text(text.replace('{"tritt_1": "tritt_2"', '{"tritt_1": "hieb"'))
     with pytest.raises(DatasetError, match="mirrored_types"):
         Dataset(tmp_path)
+
+
+def test_a_word_of_one_side_may_have_two_of_the_other() -> None:
+    for right in ("droit", "droite"):
+        types = ("coup-gauche", f"coup-{right}")
+        assert mirrored_types(types, {}) == dict(zip(types, reversed(types), strict=True))

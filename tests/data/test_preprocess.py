@@ -11,9 +11,12 @@ import pytest
 
 from motionkit.data import first_pass, second_pass
 from motionkit.data.dataset import Clip, Dataset
+from motionkit.data.diagnosis import diagnose
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError
+from motionkit.export.clip import Clip as MotionClip
+from motionkit.export.formats import write_motion
 from motionkit.features.decode import decode_motion, joint_positions
 from motionkit.features.layout import LAYOUTS
 from motionkit.motion.bvh import read_bvh, write_bvh
@@ -485,7 +488,7 @@ def test_the_true_rate_in_the_labels_overrides_the_header(tmp_path: Path) -> Non
     write_bvh(tmp_path / "clips" / "salsa.bvh", replace(bvh, frame_time=1 / 60))
     labels = tmp_path / "clips" / "labels.csv"
     labels.write_text("file,start_frame,end_frame,type,fps\nsalsa.bvh,0,-1,salsa,120\n")
-    preprocess([tmp_path / "clips"], tmp_path / "out", ONE_JOB)
+    preprocess([tmp_path / "clips"], tmp_path / "out", replace(ONE_JOB, fps=30.0))
     clip = Dataset(tmp_path / "out").clips[0]
     assert clip.frames == 60
     assert np.median(Dataset(tmp_path / "out").read(clip).features[5:55, 2]) == pytest.approx(120.0, rel=0.05)
@@ -571,3 +574,123 @@ def test_reading_part_of_a_clip(dataset: Dataset) -> None:
         assert np.array_equal(whole.features[10:30], part.features)
         assert np.array_equal(whole.types[10:30], part.types)
         assert len(dataset.read(clip, 10, 10**6).features) == clip.frames - 10
+
+
+def test_a_take_of_several_types_is_held_out_whole(tmp_path: Path) -> None:
+    (tmp_path / "clips").mkdir()
+    rows = ["file,start_frame,end_frame,type"]
+    for i in range(8):
+        write_bvh(tmp_path / "clips" / f"take_{i}.bvh", make_walk(120, phase=float(i)))
+        kinds = ("walking", "idle", "hop") if i < 6 else ("walking", "turn", "turn")
+        rows += [f"take_{i}.bvh,{40 * n},{40 * n + 30},{kind}" for n, kind in enumerate(kinds)]
+    (tmp_path / "clips" / "labels.csv").write_text("\n".join(rows) + "\n", "utf-8")
+    preprocess([tmp_path / "clips"], tmp_path / "out", PreprocessOptions(jobs=1))
+    splits = {
+        name: {clip.split for clip in each} for name, each in clips_by_file(Dataset(tmp_path / "out")).items()
+    }
+    assert all(len(each) == 1 for each in splits.values()), splits
+    assert {"train", "test", "validation"} == {split for each in splits.values() for split in each}
+    kinds = {kind for *_, kind in Dataset(tmp_path / "out").stretches("train")}
+    assert kinds == {"walking", "idle", "hop", "turn"}
+
+
+def test_a_short_part_of_another_type_keeps_training(tmp_path: Path) -> None:
+    (tmp_path / "clips").mkdir()
+    for i in range(8):
+        write_bvh(tmp_path / "clips" / f"walk_{i}.bvh", make_walk(60, phase=float(i)))
+    plain = PreprocessOptions(jobs=1)
+    preprocess([tmp_path / "clips"], tmp_path / "out", plain)
+    held = [clip.name for clip in Dataset(tmp_path / "out").clips if clip.split != "train"]
+    assert len(held) == 2
+    rows = [f"walk_{i}.bvh,0,{40 if f'walk_{i}.bvh' in held else -1},walk" for i in range(8)]
+    rows += [f"{name},40,-1,turn-{n}" for n, name in enumerate(held)]
+    (tmp_path / "clips" / "labels.csv").write_text(
+        "\n".join(["file,start_frame,end_frame,type", *rows]) + "\n"
+    )
+    preprocess([tmp_path / "clips"], tmp_path / "out", plain)
+    kinds = {kind for *_, kind in Dataset(tmp_path / "out").stretches("train")}
+    assert kinds == {"walk", "turn-0", "turn-1"}
+
+
+def test_a_type_without_a_whole_stretch_is_told(folder: Path, tmp_path: Path) -> None:
+    (folder / "labels.csv").write_text(
+        "file,start_frame,end_frame,type\nwalk_1.bvh,0,30,walking\nwalk_1.bvh,40,50,waving\n"
+    )
+    report = preprocess([folder], tmp_path / "out", ONE_JOB)
+    told = "no stretch of it has 16 frames at 60 fps"
+    assert report.notes == (f"warning: waving: left out, for {told}",)
+    assert f"waving: {told}; give it longer clips" in diagnose([folder]).warnings
+
+
+def test_a_short_part_of_a_longer_stretch_is_not_left_out(folder: Path, tmp_path: Path) -> None:
+    """Yet doctor tells it, as nobody can learn from it."""
+    (folder / "labels.csv").write_text(
+        "file,start_frame,end_frame,type\nwalk_1.bvh,0,30,walking\nwalk_1.bvh,30,40,waving\n"
+    )
+    assert not preprocess([folder], tmp_path / "out", ONE_JOB).notes
+    assert Dataset(tmp_path / "out").types == ("walking", "waving")
+    (line,) = [line for line in diagnose([folder]).warnings if line.startswith("waving: ")]
+    assert "left out" not in line
+
+
+def test_a_label_at_the_end_of_a_clip_is_told(folder: Path, tmp_path: Path) -> None:
+    (folder / "labels.csv").write_text(
+        "file,start_frame,end_frame,type\nwalk_1.bvh,0,60,walking\nwalk_1.bvh,60,-1,waving\n"
+    )
+    report = preprocess([folder], tmp_path / "out", ONE_JOB)
+    assert len(report.notes) == 1 and report.notes[0].startswith("warning: waving: left out")
+
+
+def test_features_that_are_not_levelled_are_others(dataset_folder: Path, tmp_path: Path) -> None:
+    digest = Dataset(dataset_folder).digest()
+    copy = tmp_path / "copy"
+    shutil.copytree(dataset_folder, copy)
+    manifest = json.loads((copy / "manifest.json").read_text())
+    for levelled, same in ((None, True), (True, True), (False, False)):
+        told = {key: value for key, value in manifest.items() if key != "levelled"}
+        told |= {} if levelled is None else {"levelled": levelled}
+        (copy / "manifest.json").write_text(json.dumps(told))
+        assert (Dataset(copy).digest() == digest) == same
+
+
+def test_other_frames_of_a_file_are_others(tmp_path: Path) -> None:
+    """Clips of one file, length and type, and frames of their own; a first frame of 0 is as in earlier releases."""
+    write_bvh(tmp_path / "walk.bvh", make_walk(120))
+
+    def digest(first: int, second: int, wrote: bool = True) -> str:
+        rows = [f"walk.bvh,{start},{start + 30},walking,train" for start in (first, second)]
+        (tmp_path / "labels.csv").write_text(
+            "\n".join(["file,start_frame,end_frame,type,split", *rows]) + "\n"
+        )
+        preprocess([tmp_path / "walk.bvh"], tmp_path / "out", replace(ONE_JOB, held_out=()))
+        dataset = Dataset(tmp_path / "out")
+        for file in dataset.manifest["files"] if not wrote else ():
+            del file["starts"]
+        return dataset.digest()
+
+    assert len({digest(0, 40), digest(0, 50), digest(5, 40), digest(0, 40, wrote=False)}) == 4
+    assert digest(0, 40, wrote=False) == digest(5, 50, wrote=False)
+    for level in (True, False):
+        preprocess([tmp_path / "walk.bvh"], tmp_path / "out", replace(ONE_JOB, level=level))
+        assert Dataset(tmp_path / "out").manifest["levelled"] is level
+
+
+def test_two_label_tables_are_refused(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_bvh(tmp_path / name / "walk.bvh", make_walk(60))
+        (tmp_path / name / "labels.csv").write_text(
+            f"file,start_frame,end_frame,type\nwalk.bvh,0,-1,{name}\n"
+        )
+    with pytest.raises(DatasetError, match=r"b/labels.csv: expected one table; give it with --labels"):
+        preprocess([tmp_path / "a", tmp_path / "b"], tmp_path / "out", ONE_JOB)
+
+
+def test_an_animation_that_only_clip_all_takes(tmp_path: Path) -> None:
+    (tmp_path / "clips").mkdir()
+    write_motion(tmp_path / "clips" / "a.glb", MotionClip(make_walk(60), "go"))
+    (tmp_path / "clips" / "labels.csv").write_text(
+        "file,start_frame,end_frame,type\na.glb#go,0,-1,walk\na.glb,0,-1,walk\n"
+    )
+    report = preprocess([tmp_path / "clips"], tmp_path / "out", ONE_JOB)
+    assert "only with --clip all" in next(file.skipped for file in report.files if file.skipped)

@@ -45,7 +45,10 @@ RECORDED = Movement(2.0, 50.0, 0.5, 0.1)
         (Movement(2.0, 50.0, 0.5, 0.12), 0.0),
         (Movement(2.0, 50.0, 0.5, 0.29), math.log(2.0)),
         (Movement(4.0, 50.0, 0.5, 0.1), math.log(2.0)),  # too fast is as bad as too slow
-        (Movement(2.0, 50.0, 0.5, 0.1, 0.475), math.log(2.0)),  # half of the roll-outs do not show the type
+        (
+            Movement(2.0, 50.0, 0.5, 0.1, 0.475),
+            3.0 * math.log(2.0),
+        ),  # half of the roll-outs do not show the type
         (Movement(1.0, 120.0, 0.1, 0.1), 1.25 * math.log(2.0) + math.log(2.4 / 1.4) + math.log(5.5 / 1.5)),
     ],
 )

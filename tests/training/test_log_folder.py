@@ -44,7 +44,9 @@ def test_a_table_of_others_is_refused_and_an_earlier_one_stays_until_the_first_r
     check_table(tmp_path)
     with LogFolder(tmp_path) as logs:
         logs(EVENTS[1])
-    check_table(tmp_path)
+    with pytest.raises(OverwriteError, match=r"log.csv: exists; choose another folder"):
+        check_table(tmp_path)
+    check_table(tmp_path, resumed=True)
     with LogFolder(tmp_path):
         assert len(rows(tmp_path)) == 1
     (tmp_path / TABLE).write_text("mine\n", "utf-8")

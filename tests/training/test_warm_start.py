@@ -112,13 +112,16 @@ def test_a_network_has_the_head_of_the_model_that_it_begins_from(foreign: Path) 
 
 
 def test_added_types_leave_those_of_the_model_as_they_are(foreign: Path, tmp_path: Path) -> None:
-    path = tmp_path / "mine.safetensors"
+    path, given = tmp_path / "mine.safetensors", Dataset(foreign)
+    before = dict(vars(given), _arrays=dict(given._arrays))
     train(
-        foreign,
+        given,
         path,
         fine_tune_options("tptn", steps=1, kept_share=0.5, **(SMALL | {"rate": 1e-9})),
         device="cpu",
     )
+    assert all(vars(given)[name] is value for name, value in before.items() if name != "_arrays")
+    assert given._arrays == before["_arrays"] and "scaling" not in vars(given), "the caller's is not changed"
     made, bundled = load_model(path), load_bundled_model()
     assert set(made.types) == {"Gehen", *bundled.types}
     assert made.type_names[:2] == ("Gehen", "idle")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from motionkit.cli.common import (
     EXISTING,
@@ -43,7 +44,11 @@ LAYOUT_CHOICES = ("sixd-root-1", "expmap-root-1")
     "CSV table of segments: file,start_frame,end_frame,type[,subject,fps,split,note]. "
     "By default labels.csv in or just above the data."
 )
-@click.option("--fps", type=FiniteRange(1, 1000), help="Frame rate of the files, if their headers are wrong.")
+@click.option(
+    "--fps",
+    type=FiniteRange(1, 1000),
+    help="Frame rate of the files, if their headers are wrong; a label table's column fps comes first.",
+)
 @click.option("--scale", type=FiniteRange(1e-4, 1e4), help="Centimetres per file unit; detected by default.")
 @processes_option
 @switch("--mirror/--no-mirror", "Add the mirror image of each clip.")
@@ -101,6 +106,11 @@ def command(
     """
     if options["scale"] and user_cm():
         raise click.UsageError("--unit and --scale both give the unit of the files; give one of them")
+    given = click.get_current_context().get_parameter_source("references")
+    if options["layout"] == "expmap-root-1" and given is not ParameterSource.DEFAULT:
+        raise click.UsageError(
+            "--references is for the other layout; that of the paper is relative to the identity"
+        )
     from motionkit.api import preprocess
     from motionkit.data.options import PreprocessOptions
 
@@ -131,6 +141,7 @@ def _as_dict(report: PreprocessReport) -> dict:
         "seconds": round(report.seconds, 3),
         "types": report.types,
         "files": [asdict(file) for file in report.files],
+        "notes": report.notes,
     }
 
 

@@ -43,7 +43,11 @@ if TYPE_CHECKING:
     help="Output folder; by default DATA with -model added to its name.",
 )
 @click.option("--minutes", type=FiniteRange(min=0.01), help="Training time in minutes; 5 by default.")
-@click.option("--steps", type=click.IntRange(min=1), help="Number of training steps, instead of --minutes.")
+@click.option(
+    "--steps",
+    type=click.IntRange(min=1),
+    help="Number of training steps; with --minutes, whichever ends first.",
+)
 @click.option("--add", is_flag=True, help="Also keep the types of the bundled model.")
 @switch(
     "--mirror/--no-mirror",

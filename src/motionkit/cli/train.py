@@ -106,8 +106,10 @@ class Run:
         if self.output.suffix.lower() != ".safetensors":
             raise click.UsageError(f"-o {self.output}: expected a name that ends in .safetensors")
         check_outputs([self.output, *([self.preview] if self.preview else [])], inputs)
+        if self.resume and self.force:
+            raise click.UsageError("--resume cannot be combined with --force")
         if self.log_dir and not self.force:
-            check_table(self.log_dir)
+            check_table(self.log_dir, self.resume)
         if self.resume or self.force:
             return
         for path in (self.output, self.folder / "checkpoint.safetensors"):
@@ -127,7 +129,7 @@ class Run:
 @click.option(
     "--minutes",
     type=FiniteRange(min=0.01),
-    help="Training time in minutes, unless --steps is given: 5 by default, from random weights 30.",
+    help="Training time in minutes: 5 by default, from random weights 30; with --steps, whichever ends first.",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Number of training steps.")
 @click.option(
@@ -277,13 +279,13 @@ def command(
         "finished": result.finished,
         "losses": result.losses,
     }
-    if run.as_json:
-        print_json(summary)
-        return
     word = "trained" if result.finished else "stopped"
     # No losses mean that the resumed run had finished before.
     loss = f"loss {result.losses['total']:.2f}" if "total" in result.losses else "no step was left to make"
-    say(f"{word} after {result.steps} steps, {result.seconds / 60:.1f} min; {loss}; wrote {result.model}")
+    if run.as_json:
+        print_json(summary)
+    else:
+        say(f"{word} after {result.steps} steps, {result.seconds / 60:.1f} min; {loss}; wrote {result.model}")
     if not result.finished:
         sys.exit(STOPPED)
 

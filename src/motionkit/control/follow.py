@@ -44,8 +44,8 @@ class FollowResult:
         motion: the finished motion.
         distance: distance to the whole path, on the default body.
         part_distances: mean and largest distance (cm) of the frames on each part; None for a part not reached.
-        part_frames: frames at the model's rate on each part.
-        types: the type of each part, and its seconds.
+        part_frames: frames at the model's rate on each part, by their places.
+        types: the type of each part, and its seconds, with the stop after it.
         finished: whether the character reached the end.
         seconds: duration of the roll-out.
         frames: frames at the model's rate.
@@ -82,20 +82,31 @@ class PathFollower:
         self.first_steps = FirstSteps(model, choice)
         self.guided = {part.type for part in plan.route.path.parts if _guides(model, part.type)}
         self.entered = -1  # the present part
-        self.parts: list[int] = []  # of every frame
+        self.parts: list[int] = []  # of every frame, by its place
+        self.shown: list[int] = []  # the same, but a stop belongs to the part before it
 
     @property
     def finished(self) -> bool:
         """Whether the character has reached the end and no stop is left."""
         return self.place.finished
 
+    def frames_of(self, parts: list[int]) -> tuple[int, ...]:
+        """How many frames each part of the path has in parts or shown."""
+        return tuple(np.bincount(parts, minlength=len(self.route.path.parts)).tolist())
+
+    def bands(self) -> tuple[TypePart, ...]:
+        """The type of each part of the path, and how long it was shown."""
+        shown = zip(self.route.path.parts, self.frames_of(self.shown), strict=True)
+        return tuple(TypePart(part.type, frames / self.model.fps) for part, frames in shown)
+
     def __call__(self, frame: int, ground: Array) -> Controls:
         """Controls (1, ...) of a frame for a body at ground (1, 3)."""
         place, path = self.place, self.route.path
         standing = place.move(ground[0])
         trajectory, part = np.array(place.words.trajectory, np.float32), place.words.present
+        self.parts.append(part)
         # A body that stands at a stop may be past the end of its part by a few centimetres.
-        self.parts.append(place.words.stop if place.words.stood >= 0 else part)
+        self.shown.append(place.words.stop if place.words.stood >= 0 else part)
         kind = self.model.kind(path.parts[part].type)
         controls = Controls.of_types(place.weights[None].copy())
         if kind.steered:
@@ -179,25 +190,20 @@ def follow_path(
         if progress:
             progress(min(1.0, furthest))
 
-    def arrived() -> bool:
-        return follower.finished
-
     began = time.perf_counter()
-    rollout = run(state, limit, follower, report, arrived)
+    rollout = run(state, limit, follower, report, lambda: follower.finished)
     seconds = time.perf_counter() - began
     track = rollout.ground[0, :, :2]
     most = acceleration_limit(model, [part.type for part in path.parts])
     drawn = unfinished(model, rollout, 0, skeleton, most)
     motion, raw = finished(model, drawn, skeleton, options)
-    counts = np.bincount(follower.parts, minlength=len(path.parts)).tolist()
-    shown = zip(path.parts, counts, strict=True)
     return FollowResult(
         motion,
         trajectory_distance(track, path.points),
         _part_distances(track, np.array(follower.parts), path),
-        tuple(counts),
-        tuple(TypePart(part.type, frames / model.fps) for part, frames in shown),
-        arrived(),
+        follower.frames_of(follower.parts),
+        follower.bands(),
+        follower.finished,
         seconds,
         len(track),
         raw,

@@ -10,6 +10,7 @@ phases.npy      (N,) float32: phase of a flip, strike or jump (data/phases.py), 
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -143,6 +144,12 @@ class Dataset:
         for name in ("contacts", "ground", "types", "phases"):
             most = len(self.types) - 1 if name == "types" else None
             check_range(self._path(name), name, self._arrays[name], most=most)
+
+    def copy(self) -> Dataset:
+        """The dataset with the same arrays, to which append adds without a change to this one."""
+        made = copy.copy(self)
+        made._arrays = dict(self._arrays)
+        return made
 
     def append(
         self,
@@ -327,13 +334,19 @@ class Dataset:
 
         It has no computed numbers, whose last bits differ between processors; encoded_alike compares those.
         """
-        files = {file["name"]: file.get("sha256", "") for file in self.manifest.get("files", [])}
-        facts = [self.types, self.layout.version, self.manifest["fps"], self.manifest.get("smoothed", False)]
+        files = {file["name"]: file for file in self.manifest.get("files", [])}
+        smoothed = self.manifest.get("smoothed", False)
+        facts = [self.types, self.layout.version, self.manifest["fps"], smoothed]
+        # Earlier releases wrote neither levelled nor starts; what is usual leaves their hash as it was.
+        facts += ["not levelled"] if smoothed and self.manifest.get("levelled") is False else []
         digest = hashlib.sha256(json.dumps(facts).encode())
         for clip in self.select(split):
-            recording = clip.name.removesuffix(MIRRORED)
-            file = files.get(recording) or files.get(recording.rpartition(":")[0], "")
-            digest.update(json.dumps([file, clip.frames, clip.body, clip.mirrored]).encode())
+            recording = clip.name.removesuffix(MIRRORED)  # a file, and the clip's number if it has several
+            name, number = (recording, "0") if recording in files else recording.rpartition(":")[::2]
+            file = files.get(name, {})
+            first = {str(n): start for n, start in enumerate(file.get("starts", ()))}.get(number)
+            own = [file.get("sha256", ""), clip.frames, clip.body, clip.mirrored, *([first] if first else [])]
+            digest.update(json.dumps(own).encode())
             types = self._arrays["types"][clip.start : clip.start + clip.frames]
             digest.update(np.ascontiguousarray(types).tobytes())
         return digest.hexdigest()

@@ -15,7 +15,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.events import frames_in_the_air
-from motionkit.data.first_pass import FPS, MIN_CLIP_FRAMES, read_source, runs_of
+from motionkit.data.first_pass import FPS, MIN_CLIP_FRAMES, NO_STRETCH, read_source, runs_of
 from motionkit.data.labels import BEYOND_END, SourceFile, beyond_end, find_sources, mirrored_type
 from motionkit.data.level import floor_tilts, footfalls, performer
 from motionkit.data.options import PreprocessOptions
@@ -180,6 +180,8 @@ def diagnose(
             f"the floor under {_listed([clip.name for clip in tilted])} rises by up to {steepest:.1f} cm a metre; "
             "preprocess levels it"
         )
+    named = {kind for clip in clips if not clip.fault and POSE not in clip.notes for kind in clip.types}
+    warnings += [f"{kind}: {NO_STRETCH}; give it longer clips" for kind in sorted(named - by_type.keys())]
     warnings += [
         f"{clip.name}: {note}" for clip in clips for note in clip.notes if note.startswith(BEYOND_END)
     ]

@@ -29,6 +29,7 @@ from motionkit.rig.retarget import RetargetReport, retarget_file
 
 FPS = 60.0
 MIN_CLIP_FRAMES = 16
+NO_STRETCH = f"no stretch of it has {MIN_CLIP_FRAMES} frames at {FPS:g} fps"
 
 
 @dataclass
@@ -38,6 +39,7 @@ class FileReport:
     Attributes:
         skipped: why the file is not used; "" if it is.
         leaps: number of discontinuities at which the motion was cut.
+        starts: first frame of each clip in the cleaned motion at FPS.
         notes: what was repaired to read it.
     """
 
@@ -49,6 +51,7 @@ class FileReport:
     mapping: dict[str, Any] = field(default_factory=dict)
     cleaning: dict[str, Any] = field(default_factory=dict)
     leaps: int = 0
+    starts: tuple[int, ...] = ()
     sha256: str = ""
     labels: str = ""
     notes: tuple[str, ...] = ()
@@ -151,7 +154,7 @@ class Reading:
 
 def read_source(source: SourceFile, options: PreprocessOptions, plant: bool = True) -> Reading:
     """Read, retarget (plant as there), clean and resample a file; raises BvhError or SkeletonError."""
-    fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
+    fps = next((s.fps for s in source.segments if s.fps), options.fps)
     notes: list[str] = []
     with reading(strict=options.strict or None, on_note=notes.append):
         motion, rig = retarget_file(source.path, options.scale, fps, options.own_bodies, plant, source.clip)
@@ -190,6 +193,7 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
     if not runs:
         report.skipped = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames at 60 fps"
         return Prepared(report, motion_file, (), [], [], None)
+    report.starts = tuple(run.start for run in runs)
     np.savez(motion_file, rotations=motion.local_rotations, root=motion.root_positions)
     rows = np.concatenate([np.arange(start, end) for start, end, *_ in runs])
     quats = motion.local_rotations.astype(np.float64)[rows]

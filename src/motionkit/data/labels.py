@@ -126,7 +126,9 @@ def _labelled(found: list[tuple[Path, Path]], folders: Sequence[Path], table: Pa
     roots = tuple(_key(folder) + os.sep for folder in folders)
     for key, name in others.items():
         if _base(name) not in alike and key.startswith(roots):
-            reason = f"in {table.name}, but there is no such file"
+            whole = _key(table.parent / name.partition("#")[0]) in {_key(path) for path, *_ in files}
+            reason = "animations have types of their own only with --clip all"
+            reason = reason if "#" in name and whole else f"in {table.name}, but there is no such file"
             sources.append(SourceFile(table.parent / name, name, (), reason))
     return sources
 
@@ -188,12 +190,17 @@ def _key(path: Path) -> str:
 
 
 def _nearby_labels(folders: Sequence[Path]) -> Path | None:
+    found: dict[str, Path] = {}
     for folder in folders:
         base = folder if folder.is_dir() else folder.parent
-        for place in (base, base.resolve().parent):
-            if (place / "labels.csv").is_file():
-                return place / "labels.csv"
-    return None
+        places = (place / "labels.csv" for place in (base, base.resolve().parent))
+        if table := next((place for place in places if place.is_file()), None):
+            found.setdefault(_key(table), table)
+    if len(found) > 1:
+        raise DatasetError(
+            f"{' and '.join(map(str, found.values()))}: expected one table; give it with --labels"
+        )
+    return next(iter(found.values()), None)
 
 
 def _by_name(path: Path, folder: Path) -> list[SourceFile]:

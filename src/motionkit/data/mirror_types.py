@@ -49,7 +49,10 @@ def mirrored_types(types: Sequence[str], poses: Mapping[str, Array]) -> dict[str
     A side in the name decides, as in kick-l. Otherwise two types are mirror images if the mirrored poses (N, D) of each
     are nearer to the other type than to their own.
     """
-    out = {kind: mirrored_type(kind) for kind in types}
+    named = {kind: mirrored_type(kind) for kind in types}
+    # A word of one side may have two of the other: gauche, droit and droite.
+    seen_from = {image: kind for kind, image in named.items() if image != kind}
+    out = {kind: image if image in named else seen_from.get(kind, image) for kind, image in named.items()}
     unnamed = [kind for kind in types if out[kind] == kind and len(poses.get(kind, ())) >= LEAST_POSES]
     spread = {kind: _spread(poses[kind]) for kind in unnamed}
     images = {kind: _mirrored(some) for kind, some in spread.items()}

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motionkit.data.first_pass import FPS, FileReport, Prepared, read_files
+from motionkit.data.first_pass import FPS, NO_STRETCH, FileReport, Prepared, read_files
 from motionkit.data.folder import MANIFEST, MOTIONS, may_replace, put_in_place, staging_folder
 from motionkit.data.labels import find_sources
 from motionkit.data.options import PreprocessOptions
@@ -69,6 +69,9 @@ def preprocess(
             put_in_place(staging, target)
         files = [item.report for item in prepared]
         doubts = [f"warning: {file.name}: {file.labels}" for file in files if file.labels]
+        usable = {file.name for file in files if not file.skipped}
+        named = {part.type for each in sources if each.name in usable for part in each.segments}
+        doubts += [f"warning: {kind}: left out, for {NO_STRETCH}" for kind in sorted(named - set(types))]
         seconds = sum(file.frames for file in files) / FPS
         clips = len(manifest["clips"])
         return PreprocessReport(output, table, files, types, clips, seconds, (*notes, *doubts))

@@ -149,6 +149,7 @@ def _manifest(prepared: list[Prepared], written: _Clips, rules: dict[int, PhaseR
         "layout": plan.options.layout,
         "types": list(plan.types),
         "smoothed": plan.options.smooth,
+        "levelled": plan.options.level and plan.options.smooth,
         "phase_seconds": {plan.types[k]: round(rule.frames / FPS, 3) for k, rule in sorted(rules.items())},
         "phase_events": {plan.types[k]: rule.event for k, rule in sorted(rules.items())},
         **({"mirrored_types": found} if (found := _found_by_motion(plan.mirror_types)) else {}),

@@ -30,7 +30,7 @@ from motionkit.training.verdict.real import RealMotion
 GAINS = (0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 2.25, 2.5)
 # Noise scales to try without references. Movement grows much faster than the noise.
 NOISES = (0.2, 0.5, 0.7, 0.85, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5)
-SEED, REPEATS = 500, 16  # first seed of the roll-outs, and their number per type
+SEED, REPEATS = 500, 8  # first seed of the roll-outs, and their number per type
 TOGETHER = 128  # roll-outs that run at once
 # Seconds that a roll-out takes from standing or walking to its type, which are not measured. Roll-outs start like this
 # because a roll-out from the type's own start pose moves more.

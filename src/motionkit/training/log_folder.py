@@ -84,12 +84,14 @@ def _board(folder: Path) -> Any:
     return SummaryWriter(str(folder))
 
 
-def check_table(folder: Path) -> None:
-    """Raise OverwriteError if the folder has a log.csv that no run wrote."""
+def check_table(folder: Path, resumed: bool = False) -> None:
+    """Raise OverwriteError if the folder has a log.csv of another run or program; a resumed run adds to its own."""
     path = folder / TABLE
     if path.is_file():
         with path.open("rb") as file:
             begins = file.read(len(BEGINS))
+        if begins == BEGINS and not resumed:
+            raise OverwriteError(f"{path}: exists; choose another folder, or replace it with --force")
         if begins not in (b"", BEGINS):
             raise OverwriteError(
                 f"{path}: was not written by motionkit; choose another folder, or replace it with --force"

@@ -69,7 +69,8 @@ def train(
         MotionkitError: another process trains in the run folder.
     """
     options = options or fine_tune_options("tptn", minutes=FINE_TUNE_MINUTES)
-    dataset = dataset_folder if isinstance(dataset_folder, Dataset) else Dataset(dataset_folder)
+    # Training adds clips of its own to the dataset.
+    dataset = dataset_folder.copy() if isinstance(dataset_folder, Dataset) else Dataset(dataset_folder)
     run = TrainingRun(dataset, Path(output), options, run_folder, device, on_event)
     with run.alone():
         if resume:

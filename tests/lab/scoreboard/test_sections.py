@@ -12,6 +12,9 @@ import pytest
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import shape_path
 from motionkit.data.dataset import Dataset
+from motionkit.errors import DatasetError
+from motionkit.features.encode import identity_reference_rotations
+from motionkit.features.layout import feature_layout
 from motionkit.features.reference import REFERENCE_OFFSETS
 from motionkit.lab.held_out import in_references
 from motionkit.lab.scoreboard.board import evaluate
@@ -354,6 +357,19 @@ def test_types_are_judged_only_on_request(
     board = evaluate(dataset, model=tiny_model, settings=settings, only=["types"])
     (section,) = board.sections
     assert section.name == "types" and len(section.goals) == len(section.tables[0].rows)
+
+
+def test_a_dataset_that_is_encoded_otherwise_is_refused(tiny_model: MotionModel, dataset: Dataset) -> None:
+    other = dataset.copy()
+    other.layout = feature_layout("expmap-root-1")
+    with pytest.raises(DatasetError, match="layout expmap-root-1, but the model needs sixd-root-1"):
+        evaluate(other, model=tiny_model, settings=TINY, only=["types"])
+    other = dataset.copy()
+    other.reference_rotations = identity_reference_rotations()
+    with pytest.raises(
+        DatasetError, match="reference rotations differ from the model's; preprocess it again"
+    ):
+        evaluate(other, model=tiny_model, settings=TINY, only=["types"])
 
 
 def test_the_section_has_a_row_for_each_type(make_trial) -> None:

@@ -83,7 +83,8 @@ def evaluate(
 
     Raises:
         ControlError: for an unknown section.
-        DatasetError: for a folder that is no dataset, has none of the model's types, or another frame rate.
+        DatasetError: for a folder that is no dataset, has none of the model's types, or another frame rate, layout or
+            reference rotations.
     """
     model, settings = model or open_model(None), settings or EvaluationSettings()
     dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
@@ -95,6 +96,12 @@ def evaluate(
         raise DatasetError(f"{dataset.folder}: the dataset has none of the model's motion types")
     if abs(dataset.fps - model.fps) > 1e-6:
         raise DatasetError(f"{dataset.folder}: {dataset.fps:g} fps, expected the model's {model.fps:g}")
+    dataset.check_layout(model.config.layout, "the model needs")
+    if not dataset.encoded_alike(model.reference_rotations):
+        raise DatasetError(
+            f"{dataset.folder}: the reference rotations differ from the model's; preprocess it again with --references "
+            "and this model"
+        )
     judge = Judge(RealMotion(dataset, settings.split))
     sections = []
     with worker_processes(jobs) as each:
