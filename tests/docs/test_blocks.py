@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -17,6 +18,9 @@ from click.testing import CliRunner
 import motionkit as mk
 from motionkit.cli.main import cli
 from motionkit.control.path import SHAPES
+from motionkit.models.bundled import load_bundled_model
+from motionkit.models.checkpoint import save_model
+from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import read_bvh, write_bvh
 from rig.test_character import write as write_character
 from rig.test_gltf_rig import character
@@ -50,8 +54,7 @@ def commands(text: str) -> list[list[str]]:
 @pytest.fixture(scope="module")
 def named_files(
     clips_folder: Path,
-    dataset_folder: Path,
-    tiny_model_file: Path,
+    tiny_model: MotionModel,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:
     """A folder with the files that the pages name; not to be written to."""
@@ -60,11 +63,13 @@ def named_files(
         (folder / name).symlink_to(ROOT / name)
     for name in ("my-motion", "cmu"):
         shutil.copytree(clips_folder, folder / name)
-    shutil.copytree(dataset_folder, folder / "datasets" / "free")
-    mk.preprocess([clips_folder], folder / "datasets" / "mine", mk.PreprocessOptions(jobs=1))
+    # The models and the datasets have the same reference rotations, as those of a reader have.
+    model = replace(tiny_model, reference_rotations=load_bundled_model().reference_rotations)
+    for name in ("free", "mine"):
+        mk.preprocess([clips_folder], folder / "datasets" / name, mk.PreprocessOptions(jobs=1))
     (folder / "my-motion-model").mkdir()
     for name in ("mine.safetensors", "my-motion-model/model.safetensors"):
-        shutil.copy(tiny_model_file, folder / name)
+        save_model(folder / name, model)
     for name in ("walk", "truth", "made", "ground_truth", "generated"):
         shutil.copy(SAMPLE / "16_45.bvh", folder / f"{name}.bvh")
     write_bvh(folder / "my.bvh", renamed(walk(8), FAMILIES["unreal"]).scaled(0.01))
