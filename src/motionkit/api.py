@@ -102,11 +102,11 @@ def retarget(
         MotionkitError: a file cannot be read, or a rig is not human.
     """
     from motionkit.control.synthesize import SynthesisResult
-    from motionkit.editing.loop import cycle_on_rig, is_cycle
+    from motionkit.editing.loop import at_rate, cycle_on_rig
     from motionkit.errors import naming
     from motionkit.export.clip import rig_clip
     from motionkit.finish.on_rig import on_rig
-    from motionkit.motion.motion import Motion, resample
+    from motionkit.motion.motion import Motion
     from motionkit.rig.on_rig import canonical_for, read_clip
     from motionkit.rig.read_file import read_file
 
@@ -123,7 +123,7 @@ def retarget(
             cyclic = motion.motions[0].cyclic
         drawn, motion = motion.unfinished, motion.motion
     if rate := fps or target.fps:
-        motion = resample(motion, rate, cyclic or is_cycle(motion))
+        motion = at_rate(motion, rate, cyclic)
     other = None if clip is None else read_clip(clip, target)
     made = cycle_on_rig(motion, target, ik, other) if cyclic else on_rig(motion, target, ik, other, drawn)
     return rig_clip(made, target, "motion", types)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motionkit.errors import DatasetError, MotionkitError, OverwriteError
-from motionkit.files import atomic_write, check_foreign, files_below, read_bytes
+from motionkit.files import atomic_write, check_foreign, files_below
 from motionkit.locks import locked
 from motionkit.names import about, counted, duration, first_lines
 
@@ -215,12 +214,18 @@ def _made_dataset(target: Path) -> Dataset | None:
 
 def _check_same(data: Path, dataset: Dataset) -> None:
     """Raise OverwriteError if no file of the data is one that the dataset was made of."""
-    from motionkit.motion.bvh_text import MAX_BYTES
+    from motionkit.data.first_pass import file_hash
     from motionkit.rig.read_file import ENDINGS
 
     known = {file.get("sha256") for file in dataset.manifest.get("files", [])} - {None, ""}
-    found = files_below(data, ENDINGS)
-    if known and not any(hashlib.sha256(read_bytes(path, MAX_BYTES)).hexdigest() in known for path in found):
+
+    def same(path: Path) -> bool:
+        try:
+            return file_hash(path) in known
+        except MotionkitError:  # it was left out then, too
+            return False
+
+    if known and not any(map(same, files_below(data, ENDINGS))):
         raise OverwriteError(
             f"{dataset.folder}: was made of other clips than {data}; begin anew with --force"
         )

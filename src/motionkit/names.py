@@ -92,3 +92,8 @@ def unknown_name(what: str, name: str, known: tuple[str, ...]) -> str:
     near = near or difflib.get_close_matches(word, known, n=1, cutoff=0.6)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     return f"unknown {what} {name!r}{hint} (known: {', '.join(known)})"
+
+
+def listed(text: str) -> list[str]:
+    """The names in a text, between commas."""
+    return [name.strip() for name in text.split(",")]

@@ -88,9 +88,8 @@ def command(
     .usda) or centimetres (.npz, .csv), with Y up; to .bvh they stay as they are, but become centimetres from .glb. With
     --clip all, the name of each animation is added to that of TARGET.
     """
-    from motionkit.editing.loop import is_cycle
+    from motionkit.editing.loop import at_rate
     from motionkit.export.formats import read_clip
-    from motionkit.motion.motion import resample
 
     written = []
     for clip_name, file in _targets(source, target):
@@ -98,7 +97,7 @@ def command(
         output_options.check()
         outputs = output_options.files("", [source])
         clip = read_clip(source, clip_name)
-        motion = clip.motion if fps is None else resample(clip.motion, fps, is_cycle(clip.motion))
+        motion = clip.motion if fps is None else at_rate(clip.motion, fps)
         with naming(source):
             motion = root_motion.applied(motion)
             made = replace(clip.with_motion(motion), body=body)

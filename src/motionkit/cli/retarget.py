@@ -202,10 +202,9 @@ def command(
         bvh = read_file(source)
         motion, report, known = rigs.canonical(source, bvh, choice.rig)
     if rate := fps or choice.fps:
-        from motionkit.editing.loop import is_cycle
-        from motionkit.motion.motion import resample
+        from motionkit.editing.loop import at_rate
 
-        motion = resample(motion, rate, is_cycle(motion))
+        motion = at_rate(motion, rate)
     made = RootMotion(rest=rigs.rest, rest_frame=rigs.rest_frame).applied(
         choice.on_rig(motion, ik), rig=choice.rig
     )

@@ -25,6 +25,7 @@ from motionkit.cli.common import (
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.outputs import OutputOptions, animation_options, view_option
 from motionkit.cli.rig_options import RigChoice, open_written, written_options
+from motionkit.names import listed
 
 if TYPE_CHECKING:
     from motionkit.control.synthesize import SynthesisOptions
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 UNSEEN_DEPTH = 1.0  # cm below the floor, or the height of standing feet, that nobody sees
 PRINTED_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean", "penetration-max")
+
 LONG_SECONDS = 900.0  # seconds of motion; a command announces longer jobs before they begin
 
 
@@ -120,10 +122,10 @@ class Making:
         """The input files."""
         return (self.model_path, self.init, *self.choice.files)
 
-    def body_of(self, number: int) -> str:
-        """The name of the body of a motion by its number, from 0."""
-        names = self.character.split(",")
-        return names[number % len(names)].strip()
+    @property
+    def characters(self) -> list[str]:
+        """The names of --character."""
+        return listed(self.character)
 
     def words(self) -> dict[str, Any]:
         """Keywords for mk.synthesize and mk.follow_path; opens the model."""

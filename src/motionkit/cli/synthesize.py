@@ -129,7 +129,7 @@ def _check(
     output_options: OutputOptions,
 ) -> None:
     """Raise UsageError for contradictory options."""
-    count = max(count, len(types), len(making.character.split(",")))
+    count = max(count, len(types), len(making.characters))
     if not types:
         raise click.UsageError(
             "give --types, such as --types running,cartwheel; --list-types lists the model's types"
@@ -159,7 +159,7 @@ def _write(
     from motionkit.editing.loop import motion_seam
     from motionkit.view.figure_data import MotionView
 
-    made, views = [], []
+    made, views, bodies = [], [], making.characters
     progress = show.count("writing", len(result.motions))
     for number, one in enumerate(result.motions):
         progress(number)
@@ -168,7 +168,7 @@ def _write(
         outputs.write(making.choice.clip_of(put, file.stem, parts), number)
         views.append(MotionView(file.stem, put, parts, character=making.choice.character))
         facts = {"file": file, "frames": len(put), "fps": one.motion.fps, "types": parts}
-        facts |= {"seed": making.seed + number, "character": making.body_of(number)}
+        facts |= {"seed": making.seed + number, "character": bodies[number % len(bodies)]}
         facts |= {"metrics": motion_metrics(measured, making.choice.rig)}
         cycle = put.cut(1, len(put)) if making.choice.root_motion.rest_frame else put
         seam = motion_seam(cycle) if cycles else None

@@ -48,10 +48,9 @@ def command(
     output_options: OutputOptions,
 ) -> None:
     """Cut a stretch out of CLIP, a motion of any rig; joints, unit and axes stay."""
-    from motionkit.editing.loop import is_cycle
+    from motionkit.editing.loop import at_rate
     from motionkit.editing.trim import moving_frames
     from motionkit.export.formats import read_clip
-    from motionkit.motion.motion import resample
     from motionkit.view.figure_data import MotionView
 
     output_options.check()
@@ -74,8 +73,7 @@ def command(
         first, last = first + begin, first + finish
     made = motion.cut(first, last)
     rate = fps or made.fps
-    hurried = replace(made, fps=made.fps * (speed or 1.0))
-    made = replace(resample(hurried, rate, is_cycle(made)), fps=rate)
+    made = replace(at_rate(replace(made, fps=made.fps * (speed or 1.0)), rate), fps=rate)
     with naming(clip):
         types = source.cut_types(first / motion.fps, last / motion.fps, speed or 1.0)
         outputs.write(replace(source.with_motion(made), types=types))

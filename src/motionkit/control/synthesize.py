@@ -27,6 +27,7 @@ from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, leg_length
+from motionkit.names import listed
 from motionkit.rig.soles import body_soles
 from motionkit.seeds import check_seed
 
@@ -89,7 +90,7 @@ class SynthesisOptions:
     @property
     def characters(self) -> list[str]:
         """The names in character."""
-        return [name.strip() for name in self.character.split(",")]
+        return listed(self.character)
 
 
 @dataclass(frozen=True, eq=False)

@@ -164,6 +164,11 @@ def read_source(source: SourceFile, options: PreprocessOptions, plant: bool = Tr
     return Reading(whole, rig, cleaning, motion.fps, len(motion), leaps, tuple(notes))
 
 
+def file_hash(path: Path) -> str:
+    """The SHA-256 of a file of motion, by which a dataset knows it; raises MotionkitError like read_bytes."""
+    return hashlib.sha256(read_bytes(path, MAX_BYTES)).hexdigest()
+
+
 def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
     """Prepare one file and write its motion to motion_file."""
     source, motion_file, options = item
@@ -174,7 +179,7 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
     try:
         found = read_source(source, options)
         report.labels = beyond_end(source.segments, found.frames)
-        report.sha256 = hashlib.sha256(read_bytes(source.path, MAX_BYTES)).hexdigest()
+        report.sha256 = file_hash(source.path)
     except MotionkitError as error:
         report.skipped, report.fault = str(error), True
         return Prepared(report, motion_file, (), [], [], None)

@@ -126,9 +126,9 @@ def _labelled(found: list[tuple[Path, Path]], folders: Sequence[Path], table: Pa
     roots = tuple(_key(folder) + os.sep for folder in folders)
     for key, name in others.items():
         if _base(name) not in alike and key.startswith(roots):
-            whole = _key(table.parent / name.partition("#")[0]) in {_key(path) for path, *_ in files}
-            reason = "animations have types of their own only with --clip all"
-            reason = reason if "#" in name and whole else f"in {table.name}, but there is no such file"
+            whole = "#" in name and _key(table.parent / name.partition("#")[0]) in here
+            reason = f"in {table.name}, but there is no such file"
+            reason = "animations have types of their own only with --clip all" if whole else reason
             sources.append(SourceFile(table.parent / name, name, (), reason))
     return sources
 

@@ -6,7 +6,7 @@ rig's bone lengths; the rotations of foot locking are then applied to the rig's 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -146,8 +146,8 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
         end = "nothing was changed" if refused else "nothing to repair"
         return Fixed(motion, same, (), (*notes, *refused.values(), end))
     after = Upright(made)
-    notes += _worse_in_all(costs.of(source), costs.of(after))
     table = costs.table(source, after, (len(found), len(_repaired(made, joints)[1])))
+    notes += _worse_in_all(table)
     repaired_frames = tuple(dict.fromkeys((frame + first, joint) for frame, joint in glitches))
     return Fixed(
         motion.cut(0, first).followed_by(source.back(made)),
@@ -305,15 +305,17 @@ def _made_worse(step: _Step, was: dict[str, float], now: dict[str, float], first
     return ""
 
 
-def _worse_in_all(first: dict[str, float], last: dict[str, float]) -> list[str]:
+def _worse_in_all(table: Sequence[Measurement]) -> list[str]:
     """Notes on what is worse than in the source after all passes, each of which may have made it a little worse."""
-    worse = {
-        name: f"{first[name]:.3g} to {last[name]:.3g}"
-        for name, slack in WORSE_IN_ALL.items()
-        if name in first and last.get(name, 0.0) > WORSE_SHARE * first[name] + slack
-    }
-    less = "a smaller --strength changes less"
-    return [f"{MEASURED[name]} is worse than before ({change}); {less}" for name, change in worse.items()]
+    rows, notes = {row.name: row for row in table}, []
+    for name, slack in WORSE_IN_ALL.items():
+        row = rows.get(MEASURED[name])
+        if row is None or row.before is None or row.after is None:
+            continue
+        if row.after > WORSE_SHARE * row.before + slack:
+            change = f"{row.before:.3g} to {row.after:.3g}"
+            notes.append(f"{row.name} is worse than before ({change}); a smaller --strength changes less")
+    return notes
 
 
 def _overturned(before: Upright, after: Upright) -> str:

@@ -323,6 +323,11 @@ def is_cycle(motion: Motion) -> bool:
     return bool(apart.max() < min(CLOSED, step))
 
 
+def at_rate(motion: Motion, fps: float, cyclic: bool = False) -> Motion:
+    """Resample a motion; one that was made as a cycle, or is said to be cyclic, stays closed."""
+    return resample(motion, fps, cyclic or (motion.fps != fps and is_cycle(motion)))
+
+
 def _ends(upright: Upright) -> tuple[Array, float]:
     """Distances (J,) in cm of the last frame from the first, and the median step of the fastest joint; 0 if still."""
     ends = upright.positions if upright.canonical is None else upright.facing_positions
