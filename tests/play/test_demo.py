@@ -510,9 +510,10 @@ def test_a_body_stays_while_it_is_recorded_and_a_path_goes_with_its_character(
     assert "there is room for 20" in " ".join(page.evaluate("motionkit.said"))
     worn = page.evaluate("[...motionkit.link.world.characters.values()].map(({ worn }) => worn)")
     assert worn == ["default"] * 20
-    page.evaluate("motionkit.paths.set(motionkit.mine[1], null)")
-    page.evaluate("motionkit.link.ask('remove', { character: motionkit.mine[1] })")
-    page.wait_for_function("motionkit.paths.size === 0", timeout=PATIENCE)
+    removed = page.evaluate("motionkit.mine[1]")
+    page.evaluate(f"motionkit.paths.set({removed}, null)")  # the first has one of its own
+    page.evaluate(f"motionkit.link.ask('remove', {{ character: {removed} }})")
+    page.wait_for_function(f"!motionkit.paths.has({removed})", timeout=PATIENCE)
     page.close()
 
 
