@@ -140,6 +140,25 @@ def test_a_type_that_is_not_shown_costs(
     assert asked == [("walking", round(seconds * tiny_model.fps))] * 3
 
 
+def test_a_type_that_is_shown_too_seldom_is_measured_in_longer_roll_outs(
+    tiny_model: MotionModel, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Short roll-outs show a walk half of the time; long ones show it with a gain of 2 alone."""
+    recorded = recorded_movements(training_judge(dataset).real, list(tiny_model.types))
+    asked: list[tuple[int, tuple[str, ...]]] = []
+
+    def made(model: MotionModel, moved: list[str], frames: int, judge: Judge) -> dict[str, Movement]:
+        asked.append((frames, tuple(moved)))
+        gain = model.types["walking"].preset.reference_gain
+        shown = 0.5 if frames == 10 else float(gain == 2.0)
+        return {kind: replace(recorded[kind], shown=shown if kind == "walking" else 1.0) for kind in moved}
+
+    monkeypatch.setattr(calibration, "made_movements", made)
+    found = calibrated_gains(tiny_model, training_judge(dataset), 10)
+    assert found["walking"] == 2.0 and {gain for kind, gain in found.items() if kind != "walking"} == {1.0}
+    assert asked[len(calibration.GAINS) :] == [(20, ("walking",))] * len(calibration.GAINS)
+
+
 def test_a_model_without_references_has_nothing_to_find(tiny_model: MotionModel, dataset: Dataset) -> None:
     assert calibrated_gains(tiny_model.with_reference("none"), training_judge(dataset), 10) == {}
 

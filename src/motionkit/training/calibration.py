@@ -36,6 +36,8 @@ TOGETHER = 128  # roll-outs that run at once
 # because a roll-out from the type's own start pose moves more.
 CHANGE = 1.0
 LEAST_FRAMES = 8  # shortest roll-out that can be measured
+# Longer roll-outs of types that no value shows every time. A balance of 5 s is shown as seldom with any gain.
+LONGER = 2
 JERK = 1.2  # jerk over recorded jerk that costs nothing: networks shake a little at any gain
 JERK_WEIGHT = 0.25  # weight of jerk above JERK
 # Jerk over recorded jerk above which jerk costs extra, with weight 1. The scoreboard allows 1.5 in a minute.
@@ -138,16 +140,35 @@ def _costs(
     frames: int,
     progress: Callable[[float], None] | None,
 ) -> dict[str, list[float]]:
-    """For each recorded type, the costs of its roll-outs with a field of the presets, its values, by a jerk weight."""
+    """For each recorded type, the costs of its roll-outs with a field of the presets, its values, by a jerk weight.
+
+    Types that no value shows every time are measured again in longer roll-outs.
+    """
     field, values, jerk_weight = tried
     real = recorded_movements(judge.real, kinds)
-    made = []
-    for value in values:
-        changed = with_presets(model, field, dict.fromkeys(real, value))
-        made.append(made_movements(changed, list(real), frames, judge))
-        if progress:
-            progress(len(made) / len(values))
+    models = [with_presets(model, field, dict.fromkeys(real, value)) for value in values]
+    made = _measured(models, list(real), frames, judge, progress)
+    seldom = [kind for kind in real if all(found[kind].shown < 1.0 for found in made)]
+    if seldom:
+        longer = _measured(models, seldom, LONGER * frames, judge, progress)
+        made = [short | long for short, long in zip(made, longer, strict=True)]
     return {kind: [each[kind].cost(real[kind], jerk_weight) for each in made] for kind in real}
+
+
+def _measured(
+    models: Sequence[MotionModel],
+    kinds: Sequence[str],
+    frames: int,
+    judge: Judge,
+    progress: Callable[[float], None] | None,
+) -> list[dict[str, Movement]]:
+    """The movements of each model by type."""
+    made = []
+    for model in models:
+        made.append(made_movements(model, kinds, frames, judge))
+        if progress:
+            progress(len(made) / len(models))
+    return made
 
 
 def with_presets(model: MotionModel, field: str, values: Mapping[str, float]) -> MotionModel:
