@@ -243,7 +243,20 @@ def test_features_there_and_back() -> None:
 def test_measuring_files_and_motions(tmp_path: Path) -> None:
     report = mk.measure(CLIP)
     assert report.value("afs") == mk.measure(mk.read_canonical(CLIP)).value("afs")
-    assert mk.measure(CLIP, CLIP).value("mpjpe") == 0.0
+    same = mk.measure(CLIP, CLIP)
+    assert same.value("mpjpe") == 0.0 and len(same.read_as) == 2 and "units" in same.read_as[0]
+
+
+def test_a_model_file_is_opened_and_what_it_makes_is_measured(tmp_path: Path) -> None:
+    model = mk.load_model()
+    mk.models.checkpoint.save_model(tmp_path / "mine.safetensors", model)
+    made, same = (mk.synthesize("walking:1", model=each) for each in (tmp_path / "mine.safetensors", model))
+    assert np.array_equal(made.motion.local_rotations, same.motion.local_rotations)
+    assert mk.measure(made, same.motion).value("mpjpe") == 0.0
+    with pytest.raises(mk.MotionkitError, match="0"):
+        mk.retarget(made.motion, "@mixamo", fps=0)
+    with pytest.raises(mk.MotionkitError, match="expected a temperature from 0 to 2, found -1"):
+        mk.Noise(temperature=-1.0)
 
 
 def test_views(tmp_path: Path) -> None:

@@ -122,7 +122,8 @@ def retarget(
         if isinstance(motion, SynthesisResult):
             cyclic = motion.motions[0].cyclic
         drawn, motion = motion.unfinished, motion.motion
-    if rate := fps or target.fps:
+    rate = target.fps if fps is None else fps
+    if rate is not None:
         motion = at_rate(motion, rate, cyclic)
     other = None if clip is None else read_clip(clip, target)
     made = cycle_on_rig(motion, target, ik, other) if cyclic else on_rig(motion, target, ik, other, drawn)
@@ -135,7 +136,7 @@ def synthesize(types: str | Sequence[str], **options: Unpack[SynthesisWords]) ->
     Args:
         types: motion types in order, such as "running,cartwheel" or "running:4,cartwheel:3" (seconds). A list of such
             texts is assigned to the characters in turn.
-        model: the bundled model by default.
+        model: a model or its file; the bundled model by default.
         seconds: length of the whole motion; by default 4 s per type, and one performance of types such as flips.
         count: number of motions, 1 by default, made in one batch; motion i has the seed seed + i.
         seed: 0 by default.
@@ -219,8 +220,8 @@ def quickstart(
 
 
 def measure(
-    motion: Motion | str | Path,
-    reference: Motion | str | Path | None = None,
+    motion: Motion | SynthesisResult | FollowResult | Clip | str | Path,
+    reference: Motion | SynthesisResult | FollowResult | Clip | str | Path | None = None,
     *,
     skip: int = 0,
     align_start: bool = False,
@@ -230,8 +231,8 @@ def measure(
     """Compute the metrics of a motion, alone or against its ground truth (docs/metrics.md defines them).
 
     Args:
-        motion: on the 23 canonical joints in cm, or a BVH file of any rig.
-        reference: the ground truth, in either form.
+        motion: on the 23 canonical joints in cm, what holds one, or a BVH file of any rig.
+        reference: the ground truth, likewise.
         skip: frames at 60 fps to leave out at the start of both.
         align_start: turn and move the motion so that it starts like the reference.
         given: frames at 60 fps at the start of the reference that the motion does not contain, because it continues
@@ -239,16 +240,23 @@ def measure(
         settings: thresholds; the documented definitions by default.
 
     Raises:
-        MotionkitError: a file cannot be used, or there are fewer than two common frames.
+        MotionkitError: a file cannot be used, there are fewer than two common frames, or given or align_start comes
+            without a reference.
     """
-    from motionkit.metrics.report import evaluate_motion
+    from motionkit.metrics.report import evaluate_files, evaluate_motion
 
+    if isinstance(motion, (str, Path)) and isinstance(reference, (str, Path)):
+        return evaluate_files(reference, motion, settings, skip, align_start, given=given)
     ground_truth = None if reference is None else _canonical(reference)
     return evaluate_motion(_canonical(motion), ground_truth, settings, skip, align_start, given)
 
 
-def _canonical(motion: Motion | str | Path) -> Motion:
-    return read_canonical(motion) if isinstance(motion, (str, Path)) else motion
+def _canonical(motion: Motion | SynthesisResult | FollowResult | Clip | str | Path) -> Motion:
+    if isinstance(motion, (str, Path)):
+        return read_canonical(motion)
+    from motionkit.motion.motion import Motion
+
+    return motion if isinstance(motion, Motion) else motion.motion
 
 
 def preprocess(

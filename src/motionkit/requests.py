@@ -38,7 +38,7 @@ PATH_ENDINGS = (".json", ".csv")
 class MotionWords(TypedDict, total=False):
     """Keywords that mk.synthesize and mk.follow_path share."""
 
-    model: MotionModel | None
+    model: MotionModel | str | Path | None
     seed: int
     noise: Noise | None
     reference: str
@@ -135,12 +135,17 @@ class SynthesisRequest:
         )
 
 
+def _opened(model: MotionModel | str | Path | None, reference: str) -> MotionModel:
+    """The model of a file, the bundled one, or one that is open already; with its reference recordings or none."""
+    return (model if isinstance(model, MotionModel) else open_model(model)).with_reference(reference)
+
+
 def synthesis_request(
     types: str | Sequence[str],
     *,
     seconds: float | None = None,
     keys: str | Path | Sequence[Key] = (),
-    model: MotionModel | None = None,
+    model: MotionModel | str | Path | None = None,
     reference: str = "auto",
     **options: Any,
 ) -> SynthesisRequest:
@@ -149,7 +154,7 @@ def synthesis_request(
     Raises:
         ControlError: an unknown type, keys that cannot be reached, or a file without keys.
     """
-    model = (model or open_model()).with_reference(reference)
+    model = _opened(model, reference)
     texts = [types] if isinstance(types, str) else list(types)
     if not texts:
         raise ControlError("expected at least one motion type, found none")
@@ -252,7 +257,7 @@ def path_request(
     size: float | None = None,
     speed: float | None = None,
     strict: bool = False,
-    model: MotionModel | None = None,
+    model: MotionModel | str | Path | None = None,
     reference: str = "auto",
     **options: Any,
 ) -> PathRequest:
@@ -262,7 +267,7 @@ def path_request(
         ControlError: a path that cannot be read; an unknown type or shape; options of named shapes for another path;
             with strict, a speed outside the range of a gait's recordings.
     """
-    model = (model or open_model()).with_reference(reference)
+    model = _opened(model, reference)
     if isinstance(path, Path2D) or is_path_file(path):
         target = path if isinstance(path, Path2D) else read_path(path)
         check_shape_options(types, size, speed)

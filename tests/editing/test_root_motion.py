@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.cli.rig_options import RootMotion
 from motionkit.editing.root_motion import at_origin, ground_track, in_place, root_bone, with_ground_root
 from motionkit.errors import SkeletonError
 from motionkit.export.formats import read_motion, write_motion
@@ -180,3 +181,10 @@ def test_a_ground_root_survives_the_files(tmp_path: Path) -> None:
         assert back.skeleton.names == made.skeleton.names
         assert np.abs(motion_kinematics(back)[1][:, 1:] - motion_kinematics(walk)[1]).max() < 1e-2
     write_motion(tmp_path / "a.vrma", made)
+
+
+def test_a_ground_bone_in_place_does_not_move(clip: Motion) -> None:
+    choice = RootMotion(in_place=True, root="ground")
+    held = choice.applied(clip)
+    assert held.skeleton.names[0] == "Root"
+    assert np.abs(held.root_positions - held.root_positions[0]).max() < 1e-3

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -245,3 +246,22 @@ def test_refusals(motion: Motion) -> None:
 def test_frames_to_leave_out_are_not_negative(motion: Motion, frames: dict[str, int]) -> None:
     with pytest.raises(MotionkitError, match=r"expected 0 or more frames to skip and given frames"):
         evaluate_motion(motion, motion, **frames)
+
+
+@pytest.mark.parametrize("words", [{"given": 30}, {"align_start": True}])
+def test_what_needs_a_ground_truth_is_refused_without_one(motion: Motion, words: dict[str, Any]) -> None:
+    with pytest.raises(MotionkitError, match="need a ground truth, found none"):
+        evaluate_motion(motion, **words)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"floor": float("nan")}, "expected a finite floor, found nan"),
+        ({"ssim_window": 0}, "expected ssim_window above 0, found 0"),
+        ({"foot_height": float("inf")}, "expected foot_height above 0, found inf"),
+    ],
+)
+def test_thresholds_are_numbers(words: dict[str, Any], said: str) -> None:
+    with pytest.raises(MotionkitError, match=said):
+        MetricSettings(**words)

@@ -155,7 +155,7 @@ def _print_clips(clips: list[ClipFacts], out: PlainConsole) -> None:
         number = [f"{rigs.index(_rig(clip)) + 1}"] if several else []
         measured = (f"{clip.seconds:.1f}", f"{clip.fps:g}", *number, f"{clip.floor:+.1f}", f"{clip.glitches}")
         rows.append((clip.name, ", ".join(clip.types), *measured))
-    columns = ("clip", "type", "s", "fps", *(["rig"] if several else []), "floor cm", "glitches")
+    columns = ("clip", "type", "s", "fps", *(["rig"] if several else []), "raised cm", "glitches")
     out.print(make_table(columns, rows, (0, 1)))
     _print_rigs(clips, out)
 

@@ -129,8 +129,9 @@ class RootMotion:
         if self.in_place or self.root == "ground":
             from motionkit.editing.root_motion import in_place, with_ground_root
 
-            motion = in_place(motion, cyclic) if self.in_place else motion
+            # The ground bone comes first. It would take up the sway that is left of a motion in place.
             motion = with_ground_root(motion, cyclic) if self.root == "ground" else motion
+            motion = in_place(motion, cyclic) if self.in_place else motion
         if self.rest_frame:
             from motionkit.editing.rest_frame import with_rest_frame
 

@@ -14,6 +14,7 @@ from motionkit.models.model import MotionModel
 from motionkit.seeds import check_seed
 
 NOISE_KINDS = ("mean", "sample", "correlated")
+MOST_TEMPERATURE = 2.0
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,10 @@ class Noise:
     def __post_init__(self) -> None:
         if self.kind not in NOISE_KINDS:
             raise ControlError(f"noise {self.kind!r} is unknown, expected one of {', '.join(NOISE_KINDS)}")
+        if not 0.0 <= self.temperature <= MOST_TEMPERATURE:
+            raise ControlError(
+                f"expected a temperature from 0 to {MOST_TEMPERATURE:g}, found {self.temperature:g}"
+            )
 
     @property
     def filters(self) -> tuple[float, float, float, float]:

@@ -11,6 +11,8 @@ from motionkit.metrics.value import MetricValue, need
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 
+_NO_POWER = 1e-12  # share of the largest power of a recorded signal below which a signal has none
+
 
 def mean_position_error(generated: Array, reference: Array) -> MetricValue:
     """MPJPE in cm (paper, equation MPJPE) of positions (T, J, 3), relative to the root, the first joint; headings stay.
@@ -71,19 +73,28 @@ def power_spectrum_similarity(motion: Motion, truth: Motion) -> MetricValue:
 
 
 def power_distance(made: Array, real: Array) -> float:
-    """Return the earth mover's distance between normalised powers (..., F, C) at frequencies, weighted by the real."""
-    totals = [each.sum(axis=-2) for each in (made, real)]
-    first, second = (
-        np.cumsum(each / np.maximum(total[..., None, :], 1e-12), axis=-2)
-        for each, total in zip((made, real), totals, strict=True)
-    )
+    """Return the earth mover's distance between normalised powers (..., F, C) at frequencies, weighted by the real.
+
+    A signal without power rests at zero: all its power counts as that of frequency 0.
+    """
+    weights = real.sum(axis=-2)
+    least = _NO_POWER * float(weights.max(initial=0.0))
+    first, second = (np.cumsum(_shares(each, least), axis=-2) for each in (made, real))
     moved = np.abs(first - second).sum(axis=-2)
-    return float((moved * totals[1]).sum() / max(float(totals[1].sum()), 1e-12))
+    return float((moved * weights).sum() / max(float(weights.sum()), 1e-12))
+
+
+def _shares(powers: Array, least: float) -> Array:
+    """The shares of powers (..., F, C) at the frequencies; totals of at most `least` count as none."""
+    totals = powers.sum(axis=-2, keepdims=True)
+    resting = np.zeros_like(powers)
+    resting[..., 0, :] = 1.0
+    return np.where(totals > least, powers / np.maximum(totals, 1e-300), resting)
 
 
 def _power(signals: Array) -> Array:
-    """Power (F, C) at each frequency of signals (T, C)."""
-    return np.square(np.abs(np.fft.rfft(signals.astype(np.float64), axis=0)))
+    """Power (T, C) of signals (T, C) at all frequencies, the negative ones too, as in the paper's programs."""
+    return np.square(np.abs(np.fft.fft(signals.astype(np.float64), axis=0)))
 
 
 def _same_length(motion: Motion, truth: Motion) -> None:

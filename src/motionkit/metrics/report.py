@@ -198,11 +198,14 @@ def evaluate_motion(
         given: initial frames at 60 fps that the model was given, which only the ground truth contains.
 
     Raises:
-        MotionkitError: fewer than two frames are left to compare, a value is not finite, or skip or given is negative.
+        MotionkitError: fewer than two frames are left to compare, a value is not finite, skip or given is negative, or
+            given or align_start comes without a ground truth.
         SkeletonError: a skeleton is not the canonical one.
     """
     if min(skip, given) < 0:
         raise MotionkitError(f"expected 0 or more frames to skip and given frames, found {skip} and {given}")
+    if reference is None and (given or align_start):
+        raise MotionkitError("given frames and align_start need a ground truth, found none")
     settings = settings or MetricSettings()
     motions = [motion] if reference is None else [motion, reference]
     for each, name in zip(motions, _names(motions), strict=True):

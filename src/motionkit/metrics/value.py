@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -59,3 +60,10 @@ class MetricSettings:
     ssim_k2: float = 0.03
     path_tolerance: float = 10.0  # cm within which a stretch of the reference path counts as covered
     floor: float | None = None  # cm, a known floor height; None estimates it for each clip
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if name != "floor" and not 0.0 < value < math.inf:
+                raise MotionkitError(f"expected {name} above 0, found {value:g}")
+        if self.floor is not None and not math.isfinite(self.floor):
+            raise MotionkitError(f"expected a finite floor, found {self.floor:g}")

@@ -197,7 +197,10 @@ def _numbers(words: list[str], count: int, line: int, what: str, notes: Notes) -
 
 
 def _unit(out: _Skeleton, words: list[str], line: int, notes: Notes) -> None:
+    """Read a line of the units: one of them, or several such as `mass 1 length 0.45 angle deg`."""
     key = words[0].lower()
+    if len(words) > 2 and key in ("mass", "length", "angle"):
+        _unit(out, words[2:], line, notes)
     if key == "length":
         out.length = float(_numbers(words[1:], 1, line, "the length of the units", notes)[0])
         if not 1e-4 <= out.length <= 1e4:
@@ -217,9 +220,10 @@ def _root(out: _Skeleton, block: _Block, words: list[str], line: int, notes: Not
         root.channels = _channels(words[1:], line, notes)
     elif key == "position":
         out.start = _numbers(words[1:], 3, line, "the position of the root", notes)
-    elif key == "orientation":
+    if key in ("orientation", "axis") and "orientation" in block.words:
+        turned, at = block.words["orientation"]
         order, _ = block.words.get("axis", (["XYZ"], line))
-        root.axes = _axes([*words[1:4], *order[:1]], line, notes, out.degrees)
+        root.axes = _axes([*turned[:3], *order[:1]], at, notes, out.degrees)
 
 
 def _bone(out: _Skeleton, block: _Block, words: list[str], line: int, notes: Notes) -> _Block:
@@ -431,6 +435,6 @@ def _file(skeleton: _Skeleton, values: Doubles, rate: float, columns: dict[str, 
         quat_continuous(quat_normalize(turns)).astype(np.float32),
         places[:, 0].astype(np.float32),
         rate,
-        places.astype(np.float32) if np.ptp(places[:, 1:], axis=0).any() else None,
+        places.astype(np.float32) if (places[:, 1:] != offsets[1:]).any() else None,
     )
     return motion_to_bvh(motion.scaled(skeleton.cm))

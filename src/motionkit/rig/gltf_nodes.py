@@ -93,8 +93,14 @@ class GltfNodes:
         return out
 
     def _locals(self, world: list[Doubles]) -> list[Doubles]:
-        above = [world[parent] if parent >= 0 else np.eye(4) for parent in self.parents]
-        return [np.linalg.inv(outer) @ own for outer, own in zip(above, world, strict=True)]
+        """Transforms relative to the parents; those below a parent of no size, as of hidden props, stay as they are."""
+        out = list(self.local)
+        for node, parent in enumerate(self.parents):
+            if parent < 0:
+                out[node] = world[node]
+            elif np.linalg.det(world[parent]) != 0.0:
+                out[node] = np.linalg.inv(world[parent]) @ world[node]
+        return out
 
     def _bound(self, skin: dict[str, Any]) -> dict[int, Doubles]:
         """The global transforms in which the joints of a skin are bound to its vertices; none if they have these.

@@ -233,6 +233,7 @@ def _table(
         c.metric: {v.name: f for v in variants if (f := figure_of(by_name[v.name], c.metric, part))}
         for c in columns
     }
+    columns = tuple(c for c in columns if found[c.metric] or truths[c.metric])  # measured by any run
     best = {c.metric: clear_best(found[c.metric], c, truths[c.metric]) for c in columns}
     rows = [("recorded", "", "", *(_recorded_cell(truths[c.metric], c, selection) for c in columns))]
     for v in variants:
