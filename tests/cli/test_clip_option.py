@@ -83,6 +83,20 @@ def test_all_of_them(motionkit, hero: Path, tmp_path: Path) -> None:
     assert refused.code == 2 and "--clip all cannot be combined with standard output" in refused.err
 
 
+def test_an_animation_that_fails_leaves_the_others(motionkit, hero: Path, tmp_path: Path) -> None:
+    """The first one scales a bone in the middle of its time."""
+    _, value, data = parts(hero)
+    first = value["animations"][0]
+    turn = next(c for c in first["channels"] if c["target"]["path"] == "rotation")
+    turn["target"]["path"] = "weights"
+    first["channels"] = [turn]
+    write(hero, value, data)
+    done = motionkit("convert", "hero.glb", "a.bvh", "--clip", "all")
+    assert done.code == 1 and "failed: " in done.err and "gait 180" in done.err
+    assert done.err.rstrip().endswith("1 of 2 animations failed")
+    assert [path.name for path in tmp_path.glob("*.bvh")] == ["a-gait 120.bvh"]
+
+
 def test_all_of_a_folder_overwrite_nothing(motionkit, hero: Path, tmp_path: Path) -> None:
     """A clip of a folder may have the name of an animation's file."""
     write_motion(tmp_path / "hero-gait 120.bvh", make_walk(30))

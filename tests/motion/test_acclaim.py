@@ -153,3 +153,39 @@ def test_faults_that_are_settled(tmp_path: Path, change: object, frames: int, sa
     assert len(motion) == frames and said in told[0]
     with pytest.raises(BvhError):
         read(made, strict=True)
+
+
+def test_lines_in_another_order_or_together_say_the_same(tmp_path: Path) -> None:
+    """An orientation before its axis, and all units on one line."""
+    made = write_acclaim(tmp_path, make_walk(10))
+    skeleton = tmp_path / "07.asf"
+    text = skeleton.read_text().replace("axis XYZ\nposition", "axis ZYX\nposition")
+    turned = text.replace("orientation 0 0 0", "orientation 10 20 30")
+    skeleton.write_text(turned)
+    usual, _ = read(made)
+    for old, new in (
+        ("axis ZYX\nposition 0 0 0\norientation 10 20 30", "orientation 10 20 30\naxis ZYX\nposition 0 0 0"),
+        ("mass 1.0\nlength 0.45\nangle deg", "mass 1.0 length 0.45 angle deg"),
+    ):
+        assert old in turned
+        skeleton.write_text(turned.replace(old, new))
+        found, _ = read(made)
+        assert np.abs(motion_kinematics(found)[1] - motion_kinematics(usual)[1]).max() < 1e-4
+
+
+def test_a_bone_that_is_moved_and_stays_there(tmp_path: Path) -> None:
+    made = write_acclaim(tmp_path, make_walk(5))
+    usual, _ = read(made)
+    skeleton = tmp_path / "07.asf"
+    text = skeleton.read_text()
+    at = text.index("name lfemur")
+    skeleton.write_text(text[:at] + text[at:].replace("dof ", "dof tx ty tz ", 1))
+    lines = made.read_text().split("\n")
+    moved = [
+        line.replace("lfemur ", "lfemur 0 0 2 ", 1) if line.startswith("lfemur ") else line for line in lines
+    ]
+    made.write_text("\n".join(moved))
+    found, _ = read(made)
+    hip = motion_kinematics(found)[1] - motion_kinematics(usual)[1]
+    distance = np.linalg.norm(hip[:, found.skeleton.index("lfemur")], axis=-1)
+    assert distance == pytest.approx(np.full(5, 2.0 * 2.54 / 0.45), rel=1e-3)

@@ -20,6 +20,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_angle
 from motionkit.motion.skeleton import Skeleton
+from synthetic_motions import make_walk
 
 
 def same_file(a: BvhFile, b: BvhFile) -> bool:
@@ -347,3 +348,24 @@ def test_rotation_channels_that_cannot_be_written(make_motion: Callable[..., Mot
     channels = (("Xposition", "Yposition", "Zposition"), *[("Xrotation",)] * 22)
     with pytest.raises(BvhError, match=r"LeftUpLeg.*expected 3"):
         motion_to_bvh(make_motion(frames=2), channels)
+
+
+def test_position_channels_that_hold_nothing_leave_the_offsets(tmp_path: Path) -> None:
+    """Six channels a joint, of which those of all joints but the root are zero."""
+    walk = make_walk(20)
+    moving = replace(walk, local_positions=np.tile(walk.skeleton.offsets, (20, 1, 1)))
+    moving.local_positions[:, 0] = walk.root_positions
+    write_bvh(tmp_path / "six.bvh", moving)
+    six = read_bvh(tmp_path / "six.bvh")
+    empty = six.values.copy()
+    for joint, (names, columns) in enumerate(zip(six.channels, six.columns(), strict=True)):
+        if joint:
+            empty[:, [column for name, column in zip(names, columns, strict=True) if "position" in name]] = (
+                0.0
+            )
+    text = (tmp_path / "six.bvh").read_text()
+    head = text[: text.index("Frame Time")] + f"Frame Time: {1 / 60:.6f}\n"
+    rows = "\n".join(" ".join(f"{value:.6f}" for value in row) for row in empty)
+    (tmp_path / "empty.bvh").write_text(head + rows + "\n")
+    found, usual = (bvh_to_motion(read_bvh(tmp_path / name)) for name in ("empty.bvh", "six.bvh"))
+    assert np.abs(motion_kinematics(found)[1] - motion_kinematics(usual)[1]).max() < 1e-3

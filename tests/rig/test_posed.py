@@ -14,7 +14,7 @@ from motionkit.finish.on_rig import on_rig
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.rig.character import Character, read_character
 from motionkit.rig.on_rig import read_rig
-from rig.test_character import worlds
+from rig.test_character import parts, worlds, write
 from rig.test_read_glb import TURNS, Maker, plain
 from synthetic_characters import posed
 from synthetic_motions import make_walk
@@ -83,3 +83,17 @@ def test_bones_that_were_scaled_after_binding_are_the_body_to_move(tmp_path: Pat
 
 def test_matrices_that_cannot_be_inverted_are_no_pose(tmp_path: Path) -> None:
     assert not saved(tmp_path, "flat.glb", np.diag([1.0, 1.0, 0.0, 1.0]), in_pose=True).posed
+
+
+def test_a_prop_hidden_by_a_scale_of_zero_is_no_part_of_the_body(tmp_path: Path) -> None:
+    seen = saved(tmp_path, "seen.glb", np.eye(4), True)
+    _, value, data = parts(tmp_path / "seen.glb")
+    hand = next(i for i, node in enumerate(value["nodes"]) if node.get("name") == "RightHand")
+    value["nodes"] += [
+        {"name": "Weapon", "scale": [0, 0, 0], "children": [len(value["nodes"]) + 1]},
+        {"name": "Tip"},
+    ]
+    value["nodes"][hand].setdefault("children", []).append(len(value["nodes"]) - 2)
+    write(tmp_path / "hidden.glb", value, data)
+    hidden = read_character(tmp_path / "hidden.glb")
+    assert hidden.posed and np.array_equal(hidden.skeleton.offsets, seen.skeleton.offsets)

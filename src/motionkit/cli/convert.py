@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,7 +19,14 @@ from motionkit.cli.common import (
     remark,
 )
 from motionkit.cli.folders import folders
-from motionkit.cli.outputs import STDOUT, OutputOptions, animation_options, body_option, display_name
+from motionkit.cli.outputs import (
+    STDOUT,
+    OutputOptions,
+    Outputs,
+    animation_options,
+    body_option,
+    display_name,
+)
 from motionkit.cli.rig_options import RootMotion, root_options
 from motionkit.errors import MotionkitError, naming
 from motionkit.names import counted
@@ -88,41 +95,57 @@ def command(
     .usda) or centimetres (.npz, .csv), with Y up; to .bvh they stay as they are, but become centimetres from .glb. With
     --clip all, the name of each animation is added to that of TARGET.
     """
+    targets = _targets(source, target)
+    written, failed = [], 0
+    for clip_name, file in targets:
+        output_options = OutputOptions(file, False, as_json, name, alone)
+        output_options.check()
+        try:
+            outputs = output_options.files("", [source])
+            written.append(_convert(source, clip_name, outputs, fps, root_motion, body))
+        except MotionkitError as error:
+            if len(targets) == 1:
+                raise
+            failed += 1
+            remark(f"failed: {error}")
+    if as_json and written:
+        print_json(written if user_animation() == ALL else written[0])
+    if failed:
+        raise MotionkitError(f"{failed} of {len(targets)} animations failed")
+
+
+def _convert(
+    source: Path,
+    clip_name: str | None,
+    outputs: Outputs,
+    fps: float | None,
+    root_motion: RootMotion,
+    body: str | None,
+) -> dict[str, Any]:
+    """Convert an animation of a file, the only one by default; prints what was written, or returns it for JSON."""
     from motionkit.editing.loop import at_rate
     from motionkit.export.formats import read_clip
 
-    written = []
-    for clip_name, file in _targets(source, target):
-        output_options = OutputOptions(file, False, as_json, name, alone)
-        output_options.check()
-        outputs = output_options.files("", [source])
-        clip = read_clip(source, clip_name)
-        motion = clip.motion if fps is None else at_rate(clip.motion, fps)
-        with naming(source):
-            motion = root_motion.applied(motion)
-            made = replace(clip.with_motion(motion), body=body)
-            _say_left_out(file, made, root_motion)
-            outputs.write(made)
-        joints, frames = len(motion.skeleton), len(motion)
-        if file.suffix.lower() == ".vrma":  # fingers and other joints are left out
-            from motionkit.export.vrma import joints_kept
+    file = outputs.file
+    clip = read_clip(source, clip_name)
+    motion = clip.motion if fps is None else at_rate(clip.motion, fps)
+    with naming(source):
+        motion = root_motion.applied(motion)
+        made = replace(clip.with_motion(motion), body=body)
+        _say_left_out(file, made, root_motion)
+        outputs.write(made)
+    joints, frames = len(motion.skeleton), len(motion)
+    if file.suffix.lower() == ".vrma":  # fingers and other joints are left out
+        from motionkit.export.vrma import joints_kept
 
-            joints = len(joints_kept())
-        facts = {
-            "file": source,
-            "output": file,
-            "frames": frames,
-            "fps": motion.fps,
-            "joints": joints,
-        }
-        read = source, clip.in_file()
-        if as_json:
-            written.append(outputs.facts(facts, read))
-            continue
-        words = f"{counted(joints, 'joint')}, {counted(frames, 'frame')} at {motion.fps:g} fps"
-        outputs.report(facts, [f"wrote {display_name(file)}: {words}"], read)
-    if as_json:
-        print_json(written if user_animation() == ALL else written[0])
+        joints = len(joints_kept())
+    facts = {"file": source, "output": file, "frames": frames, "fps": motion.fps, "joints": joints}
+    read = source, clip.in_file()
+    if outputs.as_json:
+        return outputs.facts(facts, read)
+    words = f"{counted(joints, 'joint')}, {counted(frames, 'frame')} at {motion.fps:g} fps"
+    outputs.report(facts, [f"wrote {display_name(file)}: {words}"], read)
+    return facts
 
 
 def _say_left_out(file: Path, clip: Clip, root_motion: RootMotion) -> None:
