@@ -202,10 +202,7 @@ def evaluate_motion(
             given or align_start comes without a ground truth.
         SkeletonError: a skeleton is not the canonical one.
     """
-    if min(skip, given) < 0:
-        raise MotionkitError(f"expected 0 or more frames to skip and given frames, found {skip} and {given}")
-    if reference is None and (given or align_start):
-        raise MotionkitError("given frames and align_start need a ground truth, found none")
+    _check_asked(skip, given, align_start, reference is not None)
     settings = settings or MetricSettings()
     motions = [motion] if reference is None else [motion, reference]
     for each, name in zip(motions, _names(motions), strict=True):
@@ -428,6 +425,13 @@ def _jerk_notes(rate: float) -> list[str]:
         f"jerk is measured at {rate:g} fps, the lowest rate of the files; between frames of such a file joints are "
         "interpolated, so bm and turn-max read low and skate-ratio high"
     ]
+
+
+def _check_asked(skip: int, given: int, align_start: bool, paired: bool) -> None:
+    if min(skip, given) < 0:
+        raise MotionkitError(f"expected 0 or more frames to skip and given frames, found {skip} and {given}")
+    if not paired and (given or align_start):
+        raise MotionkitError("given frames and align_start need a ground truth, found none")
 
 
 def _common_frames(motions: list[Motion], starts: list[int], skip: int, given: int) -> int:
