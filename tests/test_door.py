@@ -253,7 +253,7 @@ def test_a_model_file_is_opened_and_what_it_makes_is_measured(tmp_path: Path) ->
     made, same = (mk.synthesize("walking:1", model=each) for each in (tmp_path / "mine.safetensors", model))
     assert np.array_equal(made.motion.local_rotations, same.motion.local_rotations)
     assert mk.measure(made, same.motion).value("mpjpe") == 0.0
-    with pytest.raises(mk.MotionkitError, match="0"):
+    with pytest.raises(mk.MotionkitError, match="expected a frame rate above 0, found 0"):
         mk.retarget(made.motion, "@mixamo", fps=0)
     with pytest.raises(mk.MotionkitError, match="expected a temperature from 0 to 2, found -1"):
         mk.Noise(temperature=-1.0)

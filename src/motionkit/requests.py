@@ -137,7 +137,9 @@ class SynthesisRequest:
 
 def _opened(model: MotionModel | str | Path | None, reference: str) -> MotionModel:
     """The model of a file, the bundled one, or one that is open already; with its reference recordings or none."""
-    return (model if isinstance(model, MotionModel) else open_model(model)).with_reference(reference)
+    if isinstance(model, MotionModel):
+        return model.with_reference(reference)
+    return open_model(model, reference)
 
 
 def synthesis_request(

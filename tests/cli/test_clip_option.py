@@ -84,7 +84,7 @@ def test_all_of_them(motionkit, hero: Path, tmp_path: Path) -> None:
 
 
 def test_an_animation_that_fails_leaves_the_others(motionkit, hero: Path, tmp_path: Path) -> None:
-    """The first one scales a bone in the middle of its time."""
+    """The first one moves no joint, only the weights of a face."""
     _, value, data = parts(hero)
     first = value["animations"][0]
     turn = next(c for c in first["channels"] if c["target"]["path"] == "rotation")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from motionkit.arrays import Array, Doubles
+from motionkit.arrays import Array
 from motionkit.errors import BvhError
 from motionkit.files import atomic_write
 from motionkit.motion.bvh_rows import MAX_NUMBER, implausible_value
@@ -111,28 +111,27 @@ def read_bvh(path: str | Path) -> BvhFile:
             ends[index] = tuple(joint.EndSite)
         waiting.extend((child, index) for child in reversed(joint.Children))
     skeleton = Skeleton(tuple(names), tuple(parents), np.array(offsets, np.float32), ends)
-    _fill_places(skeleton, channels, text.values)
     bvh = BvhFile(
         skeleton, tuple(channels), text.values, text.frame_time, text.hierarchy, rate_within=text.rate_within
     )
+    _fill_places(bvh)
     _check_places(path, bvh)
     return bvh
 
 
-def _fill_places(skeleton: Skeleton, channels: Sequence[tuple[str, ...]], values: Doubles) -> None:
-    """Write the OFFSETs into the position channels (T, C) of joints if all of these but the root's are zero.
+def _fill_places(bvh: BvhFile) -> None:
+    """Write the OFFSETs into the position channels of joints if all of these but the root's are zero.
 
     Such channels hold nothing: read as places, they would draw the whole body to one point.
     """
-    columns: dict[int, float] = {}
-    column = 0
-    for joint, names in enumerate(channels):
-        for name in names:
-            if joint and name.endswith("position"):
-                columns[column] = float(skeleton.offsets[joint, "XYZ".index(name[0])])
-            column += 1
-    if any(columns.values()) and not values[:, list(columns)].any():
-        values[:, list(columns)] = list(columns.values())
+    places = {
+        column: float(bvh.skeleton.offsets[joint, "XYZ".index(name[0])])
+        for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True))
+        for name, column in zip(names, columns, strict=True)
+        if joint and name.endswith("position")
+    }
+    if any(places.values()) and not bvh.values[:, list(places)].any():
+        bvh.values[:, list(places)] = list(places.values())
 
 
 def _check_places(path: str | Path, bvh: BvhFile) -> None:
